@@ -1,0 +1,1 @@
+"""Depth in: the pinhole camera, depth frames, recorded sequences, and where a hand may be."""

@@ -1,0 +1,1 @@
+"""Readers of recorded depth sequences, one file per format (docs/formats.md)."""

@@ -1,0 +1,1 @@
+"""Accuracy and speed: metrics, published protocols, tables, files and pictures of results."""

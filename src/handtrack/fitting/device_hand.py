@@ -1,0 +1,77 @@
+"""Hands uploaded to a device: the arrays of `ShapedHand` that kernels read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from handtrack.hand.model import ShapedHand
+from handtrack.hand.skeleton import ANGLE_BONES, BONE_PARENTS, NBONE, finger_of_bone
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceHand:
+    """One or several hands of one topology on a device; arrays named as the kernels name them."""
+
+    faces: wp.array
+    weight_bones: wp.array
+    weights: wp.array
+    local_vertices: wp.array
+    local_normals: wp.array
+    bone_rotations: wp.array
+    bone_origins: wp.array
+    angle_axes: wp.array
+    bone_parents: wp.array
+    bone_angles: wp.array
+    angle_bones: wp.array
+    vertex_chains: wp.array
+    vertex_is_hand: wp.array
+    limits: wp.array
+
+    @classmethod
+    def upload(cls, hands: Sequence[ShapedHand], device: wp.Device) -> DeviceHand:
+        """Copy hands to a device.
+
+        Args:
+            hands: Hands of one side, shape (nhand,); topology, weights and limits are shared.
+            device: Where to.
+        """
+        first = hands[0]
+        bone_angles = np.full((NBONE, 2), -1, np.int32)
+        for angle, bone in enumerate(ANGLE_BONES):
+            bone_angles[bone, int(bone_angles[bone, 0] >= 0)] = angle
+        fingers = np.array([finger_of_bone(b) for b in range(NBONE)])
+        used = np.where(first.weights > 0, fingers[first.weight_bones], -1)
+
+        def stack(name: str, dtype: type) -> wp.array:
+            values = np.stack([getattr(hand, name) for hand in hands]).astype(np.float32)
+            return wp.array(values, dtype=dtype, device=device)
+
+        def put(values: np.ndarray, dtype: type) -> wp.array:
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+        return cls(
+            faces=put(first.faces.astype(np.int32), int),
+            weight_bones=put(first.weight_bones.astype(np.int32), int),
+            weights=put(first.weights.astype(np.float32), float),
+            local_vertices=stack("local_vertices", wp.vec3),
+            local_normals=stack("local_normals", wp.vec3),
+            bone_rotations=stack("bone_rotations", wp.mat33),
+            bone_origins=stack("bone_origins", wp.vec3),
+            angle_axes=stack("angle_axes", wp.vec3),
+            bone_parents=put(np.array(BONE_PARENTS, np.int32), int),
+            bone_angles=put(bone_angles, int),
+            angle_bones=put(np.array(ANGLE_BONES, np.int32), int),
+            vertex_chains=put(used.max(axis=1).astype(np.int32), int),
+            vertex_is_hand=put(_hand_vertices(first).astype(np.int32), int),
+            limits=put(first.limits.astype(np.float32), float),
+        )
+
+
+def _hand_vertices(hand: ShapedHand) -> np.ndarray:
+    """Vertices that are not the forearm stub: moved by a finger, or distal of the wrist joint."""
+    palm_x = np.where(hand.weight_bones == 0, hand.local_vertices[..., 0], np.inf)
+    return palm_x.min(axis=1) > 0.0

@@ -1,0 +1,207 @@
+"""Inverse kinematics in NumPy: poses whose chosen points lie where they are told, all frames at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from handtrack.errors import InputError
+from handtrack.hand.kinematics import bone_frames, keypoints
+from handtrack.hand.model import ShapedHand
+from handtrack.hand.skeleton import (
+    ANGLE_BONES,
+    KEYPOINT_BONES,
+    NANGLE,
+    NBONE,
+    NKEYPOINT,
+    NV,
+    TIP_KEYPOINTS,
+    finger_of_bone,
+)
+from handtrack.transforms import apply_increment, matrix_to_quat
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BonePoints:
+    """Points fixed to bones, such as keypoints or a data set's joints."""
+
+    bones: NDArray[np.int64]
+    """Bone of each point, shape (npoint,)."""
+    offsets: Float
+    """Place of each point in its bone's frame [m], shape (npoint, 3)."""
+
+    @classmethod
+    def of_keypoints(cls, hand: ShapedHand) -> BonePoints:
+        """The 21 keypoints."""
+        offsets = np.zeros((NKEYPOINT, 3))
+        offsets[list(TIP_KEYPOINTS)] = hand.tip_offsets
+        return cls(bones=KEYPOINT_BONES.copy(), offsets=offsets)
+
+    def place(self, hand: ShapedHand, pose: ArrayLike) -> Float:
+        """The points [m], camera frame, shape (..., npoint, 3), of poses, shape (..., 28)."""
+        rotations, origins = bone_frames(hand, pose)
+        turned = rotations[..., self.bones, :, :] @ self.offsets[..., None]
+        return origins[..., self.bones, :] + turned[..., 0]
+
+
+def _moves() -> NDArray[np.bool_]:
+    """Which joint angle moves which bone, shape (16, 21)."""
+    moves = np.zeros((NBONE, NANGLE), bool)
+    for angle, first in enumerate(ANGLE_BONES):
+        for bone in range(first, NBONE):
+            moves[bone, angle] = finger_of_bone(bone) == finger_of_bone(first)
+    return moves
+
+
+_MOVES = _moves()
+
+
+def point_jacobian(hand: ShapedHand, points: BonePoints, pose: ArrayLike) -> tuple[Float, Float]:
+    """Points and their derivative by the increment.
+
+    Args:
+        hand: One person's hand.
+        points: Points on its bones.
+        pose: Poses, shape (n, 28).
+
+    Returns:
+        Points [m], shape (n, npoint, 3), and derivatives, shape (n, npoint, 3, 27).
+    """
+    rotations, origins = bone_frames(hand, pose)
+    turned = rotations[:, points.bones] @ points.offsets[..., None]
+    placed = origins[:, points.bones] + turned[..., 0]
+    jacobian = np.zeros((*placed.shape, NV))
+    jacobian[..., :3] = np.eye(3)
+    # Palm frame turn w: d p = R (w x (p - t)), so column k is R e_k x (p - t).
+    arm = placed - origins[:, :1]
+    columns = np.swapaxes(rotations[:, 0], 1, 2)
+    jacobian[..., 3:6] = np.swapaxes(np.cross(columns[:, None], arm[:, :, None]), 2, 3)
+    axes = _angle_axes(hand, rotations, np.asarray(pose, np.float64))
+    lever = placed[:, :, None] - origins[:, None, list(ANGLE_BONES)]
+    spin = np.cross(axes[:, None], lever) * _MOVES[points.bones][None, :, :, None]
+    jacobian[..., 6:] = np.swapaxes(spin, 2, 3)
+    return placed, jacobian
+
+
+def _angle_axes(hand: ShapedHand, rotations: Float, pose: Float) -> Float:
+    """World axes of the joint angles, shape (n, 21, 3): an outer axis is turned by the outer angle only."""
+    axes = np.empty((len(pose), NANGLE, 3))
+    for angle, bone in enumerate(ANGLE_BONES):
+        axis = (rotations[:, bone] @ hand.angle_axes[angle])
+        inner = angle + 1
+        if inner < NANGLE and ANGLE_BONES[inner] == bone:
+            # Undo the inner rotation: R = R_outer Rot(inner), and Rot(-inner) acts in the bone frame.
+            from_inner = _rotate(hand.angle_axes[inner], -pose[:, 7 + inner], hand.angle_axes[angle])
+            axis = (rotations[:, bone] @ from_inner[..., None])[..., 0]
+        axes[:, angle] = axis
+    return axes
+
+
+def _rotate(axis: Float, angles: Float, vector: Float) -> Float:
+    """Rodrigues' rotation of one vector about one axis by many angles, shape (n, 3)."""
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    return vector * c + np.cross(axis, vector) * s + axis * (axis @ vector) * (1 - c)
+
+
+def initial_pose(hand: ShapedHand, targets: ArrayLike) -> Float:
+    """Poses at the rest angles, palm laid on the wrist and knuckles of the 21 target keypoints.
+
+    Args:
+        hand: One person's hand.
+        targets: Keypoints [m], shape (n, 21, 3).
+
+    Returns:
+        Poses, shape (n, 28).
+    """
+    targets = np.asarray(targets, np.float64)
+    rest = np.zeros(28)
+    rest[3], rest[7:] = 1.0, hand.rest_angles
+    palm = [0, 5, 9, 13, 17]
+    source = keypoints(hand, rest)[palm]
+    goal = targets[:, palm]
+    a = source - source.mean(0)
+    b = goal - goal.mean(1, keepdims=True)
+    u, _, vt = np.linalg.svd(np.einsum("npi,pj->nij", b, a))
+    flip = np.ones((len(goal), 3))
+    flip[:, 2] = np.linalg.det(u @ vt)
+    rotation = (u * flip[:, None]) @ vt
+    pose = np.tile(rest, (len(goal), 1))
+    pose[:, :3] = goal.mean(1) - (rotation @ source.mean(0))
+    pose[:, 3:7] = matrix_to_quat(rotation)
+    return pose
+
+
+def solve_poses(
+    hand: ShapedHand,
+    points: BonePoints,
+    targets: ArrayLike,
+    start: ArrayLike,
+    *,
+    iterations: int = 60,
+    limit_weight: float = 1.0,
+    rest_weight: float = 1e-5,
+) -> Float:
+    """Poses that bring the points to their targets, by damped Gauss-Newton on all frames at once.
+
+    Args:
+        hand: One person's hand.
+        points: Points on its bones.
+        targets: Where they should be [m], camera frame, shape (n, npoint, 3); NaN leaves one out.
+        start: Start poses, shape (n, 28).
+        iterations: Gauss-Newton steps.
+        limit_weight: Weight of squared excess over a joint limit [m^2/rad^2].
+        rest_weight: Weight of squared departure from the rest angles [m^2/rad^2]; settles angles that
+            the points leave open.
+
+    Returns:
+        Poses, shape (n, 28).
+
+    Raises:
+        InputError: Shapes do not fit.
+    """
+    targets, pose = np.asarray(targets, np.float64), np.array(start, np.float64)
+    if targets.shape != (len(pose), len(points.bones), 3):
+        raise InputError(
+            f"targets have shape {targets.shape}; expected {(len(pose), len(points.bones), 3)}"
+        )
+    known = np.isfinite(targets).all(-1)
+    goal = np.where(known[..., None], targets, 0.0)
+    low, high = hand.limits.T
+    damping = np.full(len(pose), 1e-3)
+    energy = np.full(len(pose), np.inf)
+    best, system, slope = pose.copy(), None, None
+    for _ in range(iterations):
+        placed, jacobian = point_jacobian(hand, points, pose)
+        residual = np.where(known[..., None], placed - goal, 0.0)
+        jacobian *= known[..., None, None]
+        over = np.minimum(pose[:, 7:] - low, 0) + np.maximum(pose[:, 7:] - high, 0)
+        away = pose[:, 7:] - hand.rest_angles
+        tried = (
+            (residual**2).sum((1, 2)) + limit_weight * (over**2).sum(1)
+            + rest_weight * (away**2).sum(1)
+        )  # fmt: skip
+        flat = jacobian.reshape(len(pose), -1, NV)
+        hessian = np.swapaxes(flat, 1, 2) @ flat
+        gradient = (np.swapaxes(flat, 1, 2) @ residual.reshape(len(pose), -1, 1))[..., 0]
+        index = np.arange(6, NV)
+        hessian[:, index, index] += limit_weight * (over != 0) + rest_weight
+        gradient[:, 6:] += limit_weight * over + rest_weight * away
+
+        better = tried < energy
+        if system is None:
+            system, slope = hessian.copy(), gradient.copy()
+        system[better], slope[better] = hessian[better], gradient[better]
+        best[better], energy[better] = pose[better], tried[better]
+        damping = np.clip(np.where(better, damping * 0.3, damping * 8), 1e-9, 1e3)
+        damped = system.copy()
+        diagonal = np.arange(NV)
+        damped[:, diagonal, diagonal] *= 1 + damping[:, None]
+        damped[:, diagonal, diagonal] += 1e-9
+        step = -np.linalg.solve(damped, slope[..., None])[..., 0]
+        step /= np.maximum(np.abs(step).max(1, keepdims=True) / 0.5, 1.0)
+        pose = apply_increment(best, step)
+    return best

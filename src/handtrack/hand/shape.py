@@ -1,0 +1,66 @@
+"""Shape of one person's hand: coordinates in the learnt shape space (thesis II.3.2)."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handtrack.errors import DamagedFileError, InputError, MissingFileError
+
+FORMAT_VERSION = 1
+
+
+def _empty() -> NDArray[np.float64]:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandShape:
+    """Bone scales, vertex offsets and overall scale of one hand; the default is the mean hand.
+
+    Shorter vectors than the model's are padded with zeros, so a shape survives a richer model.
+    """
+
+    alpha: NDArray[np.float64] = field(default_factory=_empty)
+    """Coordinates of the bone scales, standard normal over the population, shape (<= nalpha,)."""
+    beta: NDArray[np.float64] = field(default_factory=_empty)
+    """Coordinates of the vertex offsets, standard normal over the population, shape (<= nbeta,)."""
+    scale: float = 1.0
+    """Overall factor on top of the model's own s_g(alpha)."""
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "beta"):
+            value = np.asarray(getattr(self, name), np.float64)
+            if value.ndim != 1 or not np.isfinite(value).all():
+                raise InputError(
+                    f"HandShape.{name} has shape {value.shape}; expected a vector of finite numbers"
+                )
+            object.__setattr__(self, name, value)
+        if not (np.isfinite(self.scale) and 0.2 <= self.scale <= 5.0):
+            raise InputError(f"HandShape.scale is {self.scale}; expected a factor within 0.2 to 5")
+
+    def save(self, path: str | Path) -> None:
+        """Write the shape to an .npz file."""
+        np.savez(
+            path, format_version=FORMAT_VERSION, alpha=self.alpha, beta=self.beta, scale=self.scale
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> HandShape:
+        """Read a shape written by `save`.
+
+        Raises:
+            MissingFileError: There is no such file.
+            DamagedFileError: The file is not a hand shape.
+        """
+        if not Path(path).is_file():
+            raise MissingFileError(f"no hand shape at {path}")
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                return cls(alpha=data["alpha"], beta=data["beta"], scale=float(data["scale"]))
+        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+            raise DamagedFileError(f"{path} is not a hand shape file: {error}") from error

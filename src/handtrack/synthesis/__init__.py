@@ -1,0 +1,1 @@
+"""Labelled depth frames from motion, subjects and sensor noise: for tests, samples and training."""

@@ -1,0 +1,138 @@
+"""Model-based tracking: refine the previous pose on each frame (thesis II.5.2), needs a first pose."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handtrack.camera.camera import Camera
+from handtrack.errors import InputError
+from handtrack.fitting.config import THESIS, FitConfig
+from handtrack.fitting.fitter import Fitter
+from handtrack.hand.kinematics import keypoints
+from handtrack.hand.model import ShapedHand
+from handtrack.priors.gaussian import GaussianPrior
+from handtrack.transforms import apply_increment, pose_difference
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelBasedConfig:
+    """Settings of the model-based tracker."""
+
+    fit: FitConfig = field(default_factory=FitConfig)
+    """The fit of one frame."""
+    velocity: float = 1.0
+    """Share of the last motion that a second hypothesis repeats; 0 leaves that hypothesis out."""
+    lost_error: float = 0.02
+    """tau of Eq. II.19: depth error above which the hand counts as lost [m]."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            InputError: A setting is out of range.
+        """
+        if not 0 <= self.velocity <= 2:
+            raise InputError(f"velocity is {self.velocity}; expected 0 to 2")
+        if not 0 < self.lost_error <= self.fit.score_cap:
+            raise InputError(
+                f"lost_error is {self.lost_error}; expected up to score_cap {self.fit.score_cap}"
+            )
+
+
+THESIS_TRACKER = ModelBasedConfig(fit=replace(THESIS, iterations=4), velocity=0.0)
+"""The thesis' model-based tracking: Eq. II.21 alone, from the previous pose."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """What a tracker finds in one frame."""
+
+    pose: NDArray[np.float64]
+    """Pose, shape (28,)."""
+    depth_error: float
+    """E_d of Eq. II.19 [m]."""
+    timings: dict[str, float]
+    """Time spent per stage [ms]."""
+
+
+class TrackerModelBased:
+    """Follows one hand from a given first pose."""
+
+    def __init__(
+        self,
+        hand: ShapedHand,
+        camera: Camera,
+        *,
+        config: ModelBasedConfig | None = None,
+        device: str | None = None,
+        graph: bool = True,
+    ) -> None:
+        """Allocate for one hand and camera.
+
+        Args:
+            hand: The person's hand.
+            camera: Camera of the depth images.
+            config: Settings.
+            device: "cpu", "cuda:N" or None for the best there is.
+            graph: False launches eagerly, for debugging.
+        """
+        self.config = config if config is not None else ModelBasedConfig()
+        self._hand = hand
+        prior = GaussianPrior.load() if self.config.fit.prior_weight > 0 else None
+        self._nhyp = 2 if self.config.velocity > 0 else 1
+        self._fitter = Fitter(
+            [hand], camera, config=self.config.fit, nhyp=self._nhyp, device=device,
+            prior=prior, graph=graph,
+        )  # fmt: skip
+        self._pose: NDArray[np.float64] | None = None
+        self._motion = np.zeros(27)
+
+    @property
+    def started(self) -> bool:
+        """Whether there is a pose to go on from."""
+        return self._pose is not None
+
+    def start(self, pose: NDArray[np.float64] | None) -> None:
+        """Go on from a pose at rest, shape (28,), or from nothing."""
+        self._pose = None if pose is None else np.array(pose, np.float64)
+        self._motion = np.zeros(27)
+
+    def step(self, depth: NDArray[np.float32]) -> Estimate:
+        """Follow the hand into the next frame.
+
+        Args:
+            depth: Clean depth image [m], shape (height, width).
+
+        Returns:
+            The best hypothesis.
+        """
+        clock = [time.perf_counter()]
+        pose = self._pose
+        assert pose is not None, "start first"
+        predicted = apply_increment(pose, self.config.velocity * self._motion)
+        starts = np.stack([pose, predicted][: self._nhyp])
+        # The middle between both hypotheses keeps either within the crop.
+        centre = keypoints(self._hand, starts).mean(axis=(0, 1))
+        self._fitter.load_depth(depth)
+        self._fitter.place(centre)
+        self._fitter.set_poses(starts)
+        clock.append(time.perf_counter())
+        self._fitter.run()
+        clock.append(time.perf_counter())
+        errors = self._fitter.errors
+        best = int(np.argmin(errors))
+        found = self._fitter.poses[best].astype(np.float64)
+        found[3:7] /= np.linalg.norm(found[3:7])
+        self._motion = pose_difference(found, pose)
+        self._pose = found
+        clock.append(time.perf_counter())
+        spans = 1e3 * np.diff(clock)
+        return Estimate(
+            pose=found,
+            depth_error=float(errors[best]),
+            timings=dict(zip(("prepare", "fit", "choose"), map(float, spans), strict=True)),
+        )

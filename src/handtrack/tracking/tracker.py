@@ -1,0 +1,152 @@
+"""`HandTracker`: one hand, frame after frame, whatever comes in."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from handtrack.camera.camera import Camera
+from handtrack.camera.frame import check_depth
+from handtrack.errors import InputError
+from handtrack.hand.model import HandModel
+from handtrack.hand.shape import HandShape
+from handtrack.hand.side import check_side
+from handtrack.hand.skeleton import NQ
+from handtrack.tracking.model_based import (
+    THESIS_TRACKER,
+    ModelBasedConfig,
+    TrackerModelBased,
+)
+from handtrack.tracking.result import HandResult, TrackState
+
+TRACKERS: dict[str, ModelBasedConfig] = {
+    "model_based": ModelBasedConfig(),
+    "thesis": THESIS_TRACKER,
+}
+"""Name of each tracker and its settings."""
+
+
+class HandTracker:
+    """Tracks one hand in the frames of one depth camera.
+
+    `track` never raises for bad depth; the result's `state` and `problem` say what happened.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        side: str = "right",
+        shape: HandShape | None = None,
+        device: str | None = None,
+        tracker: str = "model_based",
+        config: ModelBasedConfig | None = None,
+        seed: int = 0,
+        model: HandModel | None = None,
+        graph: bool = True,
+    ) -> None:
+        """Allocate for a camera and a person's hand.
+
+        Args:
+            camera: Intrinsics of every frame.
+            side: "right" or "left".
+            shape: The person's shape; the mean hand when None.
+            device: "cpu", "cuda:N" or None for the best there is.
+            tracker: One of `TRACKERS`.
+            config: Settings instead of the tracker's own.
+            seed: Seed of whatever is random; the model-based trackers draw nothing.
+            model: The parametric hand; the one that comes with handtrack when None.
+            graph: False launches eagerly, for debugging.
+
+        Raises:
+            InputError: An argument is unusable.
+            DeviceError: There is no such device.
+        """
+        if tracker not in TRACKERS:
+            raise InputError(f"tracker is {tracker!r}; expected one of {', '.join(TRACKERS)}")
+        self.camera, self.side, self.seed = camera, check_side(side), seed
+        self.hand = (model if model is not None else HandModel.load()).shaped(shape, side=side)
+        self._tracker = TrackerModelBased(
+            self.hand, camera, config=config or TRACKERS[tracker], device=device, graph=graph
+        )
+        self._buffer = np.zeros(camera.shape, np.float32)
+        self._state = TrackState.NO_HAND
+        self._good: NDArray[np.float64] | None = None
+
+    def reset(self, pose: ArrayLike | None = None) -> None:
+        """Forget the past; with a pose, shape (28,), go on from there.
+
+        Raises:
+            InputError: The pose is not 28 finite numbers with a quaternion.
+        """
+        self._state = TrackState.NO_HAND
+        self._good = None if pose is None else _check_pose(pose)
+        self._tracker.start(self._good)
+
+    def track(self, depth: Any) -> HandResult:
+        """Find the hand in the next frame.
+
+        Args:
+            depth: Depth image [m], shape (height, width) of the camera, 0 = no measurement. Anything
+                else is answered with LOST or NO_HAND and a `problem`.
+
+        Returns:
+            The hand's pose, and whether to trust it.
+        """
+        begin = time.perf_counter()
+        clean, problem = check_depth(depth, self.camera, out=self._buffer)
+        checked = 1e3 * (time.perf_counter() - begin)
+        if not self._tracker.started:
+            why = problem or f"the tracker has no first pose; call reset(pose)"
+            return self._result(TrackState.NO_HAND, np.full(NQ, np.nan), np.nan, why, {})
+        if problem is not None:
+            self._state = TrackState.LOST
+            # The next good frame goes on from the last good pose, at rest.
+            self._tracker.start(self._good)
+            return self._result(self._state, self._good, np.nan, problem, {"check": checked})
+        estimate = self._tracker.step(clean)
+        timings = {"check": checked, **estimate.timings}
+        found = estimate.depth_error < self._tracker.config.lost_error
+        if found:
+            lost = self._state is TrackState.LOST
+            self._state = TrackState.RECOVERED if lost else TrackState.TRACKING
+            self._good = estimate.pose
+        else:
+            self._state = TrackState.LOST
+        timings["total"] = 1e3 * (time.perf_counter() - begin)
+        return self._result(
+            self._state, self._good, estimate.depth_error,
+            None if found else "the hand explains the image too badly", timings,
+        )  # fmt: skip
+
+    def _result(
+        self,
+        state: TrackState,
+        pose: NDArray[np.float64] | None,
+        error: float,
+        problem: str | None,
+        timings: dict[str, float],
+    ) -> HandResult:
+        assert pose is not None
+        return HandResult(
+            state=state, side=self.side, pose=pose.copy(), depth_error=float(error),
+            hand=self.hand, problem=problem, timings=timings,
+        )  # fmt: skip
+
+
+def _check_pose(pose: ArrayLike) -> NDArray[np.float64]:
+    """A pose of 28 finite numbers with a unit quaternion."""
+    try:
+        value = np.array(pose, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"pose is not numeric: {error}") from None
+    if value.shape != (NQ,) or not np.isfinite(value).all():
+        raise InputError(f"pose has shape {value.shape}; expected 28 finite numbers")
+    length = np.linalg.norm(value[3:7])
+    if not 0.5 < length < 2.0:
+        raise InputError(f"pose[3:7] has length {length:g}; expected a unit quaternion w x y z")
+    value[3:7] /= length
+    return value

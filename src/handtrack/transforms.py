@@ -1,0 +1,76 @@
+"""Rotations and rigid transforms in NumPy float64: quaternions are w first, `T_a_b` maps b to a."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+Float = NDArray[np.float64]
+
+
+def quat_to_matrix(quat: ArrayLike) -> Float:
+    """Rotation matrices of unit quaternions.
+
+    Args:
+        quat: Quaternions w x y z, shape (..., 4); need not be normalised.
+
+    Returns:
+        Rotation matrices, shape (..., 3, 3).
+    """
+    q = np.asarray(quat, np.float64)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return np.stack(rows, -1).reshape(*q.shape[:-1], 3, 3)
+
+
+def matrix_to_quat(matrix: ArrayLike) -> Float:
+    """Unit quaternions w x y z (w >= 0), shape (..., 4), of rotation matrices, shape (..., 3, 3)."""
+    m = np.asarray(matrix, np.float64)
+    quat = Rotation.from_matrix(m.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    return quat.reshape(*m.shape[:-2], 4)
+
+
+def rotvec_to_matrix(rotvec: ArrayLike) -> Float:
+    """Rotation matrices, shape (..., 3, 3), of rotation vectors [rad], shape (..., 3)."""
+    v = np.asarray(rotvec, np.float64)
+    return Rotation.from_rotvec(v.reshape(-1, 3)).as_matrix().reshape(*v.shape[:-1], 3, 3)
+
+
+def matrix_to_rotvec(matrix: ArrayLike) -> Float:
+    """Rotation vectors [rad], shape (..., 3), of rotation matrices, shape (..., 3, 3)."""
+    m = np.asarray(matrix, np.float64)
+    rotvec = Rotation.from_matrix(m.reshape(-1, 3, 3)).as_rotvec()
+    return rotvec.reshape(*m.shape[:-2], 3)
+
+
+def apply_increment(pose: ArrayLike, increment: ArrayLike) -> Float:
+    """Move poses along the manifold: translation and angles add, rotation is q * exp(w).
+
+    Args:
+        pose: Poses, shape (..., 28).
+        increment: Increments, shape (..., 27): translation [m] in the camera frame, rotation
+            vector [rad] in the palm frame, joint angles [rad] (the layout of MuJoCo's qvel).
+
+    Returns:
+        New poses, shape (..., 28), with unit quaternions.
+    """
+    pose, dq = np.asarray(pose, np.float64), np.asarray(increment, np.float64)
+    rotation = quat_to_matrix(pose[..., 3:7]) @ rotvec_to_matrix(dq[..., 3:6])
+    return np.concatenate(
+        [pose[..., :3] + dq[..., :3], matrix_to_quat(rotation), pose[..., 7:] + dq[..., 6:]], -1
+    )
+
+
+def pose_difference(pose: ArrayLike, reference: ArrayLike) -> Float:
+    """Increment that leads from `reference` to `pose`, shape (..., 27); inverse of `apply_increment`."""
+    a, b = np.asarray(pose, np.float64), np.asarray(reference, np.float64)
+    relative = np.swapaxes(quat_to_matrix(b[..., 3:7]), -1, -2) @ quat_to_matrix(a[..., 3:7])
+    return np.concatenate(
+        [a[..., :3] - b[..., :3], matrix_to_rotvec(relative), a[..., 7:] - b[..., 7:]], -1
+    )
