@@ -10,20 +10,22 @@ frame (Schur complement). The frames of the two sample images and their neighbou
 Which bone a point is fixed to follows from the annotations: points of one bone keep their distance
 within 0.1 mm in every frame. The annotations' hinges are not where ours are, so the residual alone
 would bend and stretch fingers to hide that; weak anatomical priors (`_prior`) hold the points where
-they can be seen in the data set's pictures: fingertips one fingertip's radius inside the tip, one
-point near every joint, the wrist's at the wrist, finger points on the bone's axis.
+an annotator puts them: in the middle of the finger's flesh, fingertips one fingertip's radius
+inside the tip, one point near every joint, the wrist's at the wrist.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from handtrack.artifacts import artifact_path
 from handtrack.evaluation.nyu import PROTOCOL_JOINTS, JointMap, bone_units
 from handtrack.hand.inverse_kinematics import (
     BonePoints,
@@ -37,6 +39,7 @@ from handtrack.hand.skeleton import BONES
 from handtrack.transforms import apply_increment
 
 Float = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 OUT = Path(__file__).resolve().parents[1] / "src" / "handtrack" / "evaluation" / "nyu_joints.json"
 
@@ -225,20 +228,20 @@ def _size(points: Float) -> float:
 def _prior(hand: ShapedHand) -> tuple[Float, Float]:
     """Mean and deviation of the fractions, shapes (36, 3); see the module's docstring."""
     mean, deviation = np.zeros((36, 3)), np.full((36, 3), 0.03)
-    # A fingertip is a ball of about 0.075 palm lengths; its bone is 0.2 to 0.3 long.
-    tip = 1.0 - 0.075 * hand.bone_lengths[0] / hand.bone_lengths
-    along = {
-        0: (None, 0.06), 1: (0.1, 0.1), 2: (0.5, FREE), 3: (0.05, 0.1), 4: (0.5, FREE),
-        5: (0.1, 0.15),
-    }  # fmt: skip
+    for joint, bone in enumerate(JOINT_BONES[:28]):
+        mean[joint, 1:] = _finger(hand, bone)[0] / hand.bone_lengths[0]
+    along = {1: (0.1, 0.1), 2: (0.5, FREE), 3: (0.05, 0.1), 4: (0.5, FREE), 5: (0.1, 0.15)}
     for first in (0, 6, 12, 18):
         for k, (value, spread) in along.items():
-            mean[first + k, 0] = tip[JOINT_BONES[first]] if value is None else value
-            deviation[first + k, 0] = spread
-    for joint, value, spread in (
-        (24, tip[3], 0.06), (25, 0.05, 0.1), (26, 0.5, FREE), (27, 0.05, 0.1), (28, 0.5, FREE),
-    ):  # fmt: skip
+            mean[first + k, 0], deviation[first + k, 0] = value, spread
+    for joint, value, spread in ((25, 0.05, 0.1), (26, 0.5, FREE), (27, 0.05, 0.1)):
         mean[joint, 0], deviation[joint, 0] = value, spread
+    for joint in (0, 6, 12, 18, 24):
+        bone = JOINT_BONES[joint]
+        _, radius, end = _finger(hand, bone)
+        mean[joint, 0], deviation[joint, 0] = (end - radius) / hand.bone_lengths[bone], 0.06
+    # The thumb's metacarpal has no outline of its own in the palm.
+    mean[28], deviation[28] = (0.5, 0.0, 0.0), (FREE, 0.1, 0.1)
     mean[29], deviation[29] = hand.bone_origins[1] / hand.bone_lengths[0], 0.1
     deviation[[30, 31]] = (0.03, 0.1, 0.3)
     deviation[35] = (0.03, 0.1, 0.05)
@@ -246,7 +249,21 @@ def _prior(hand: ShapedHand) -> tuple[Float, Float]:
     return mean, deviation
 
 
-def sample(per_hand: tuple[int, ...], rng: np.random.Generator) -> tuple[Float, Float]:
+def _finger(hand: ShapedHand, bone: int) -> tuple[Float, float, float]:
+    """Outline of a finger bone's flesh from the mesh, in the bone's frame.
+
+    Returns:
+        Middle of its cross-section (y, z) [m], half its thickness [m], largest x [m].
+    """
+    places = np.argwhere((hand.weight_bones == bone) & (hand.weights > 0.7))
+    points = hand.local_vertices[places[:, 0], places[:, 1]]
+    along = points[:, 0] / hand.bone_lengths[bone]
+    across = points[(along > 0.2) & (along < 0.8), 1:]
+    low, high = across.min(axis=0), across.max(axis=0)
+    return (low + high) / 2, float(high[0] - low[0]) / 2, float(points[:, 0].max())
+
+
+def sample(per_hand: tuple[int, ...], rng: np.random.Generator) -> tuple[Index, Index]:
     """Frames drawn from every hand without the sample images: numbers and hands, shapes (n,)."""
     allowed = np.ones(HANDS[-1][1], bool)
     for frame in SAMPLE_FRAMES:
@@ -258,7 +275,7 @@ def sample(per_hand: tuple[int, ...], rng: np.random.Generator) -> tuple[Float, 
     return np.concatenate(frames), np.repeat(np.arange(len(HANDS)), per_hand)
 
 
-def check(problem: Problem, state: Estimate, joints: Float, frames: Float, hands: Float) -> Float:
+def check(problem: Problem, state: Estimate, joints: Float, frames: Index, hands: Index) -> Float:
     """Errors [mm] of the fixed map and scales on other frames, shape (n, 36)."""
     scale = state.scales[hands][:, None, None]
     goals = joints[frames] / scale
@@ -270,7 +287,7 @@ def check(problem: Problem, state: Estimate, joints: Float, frames: Float, hands
 
 def main() -> None:
     """Estimate, check, write."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("annotations", type=Path, help="nyu_test_joints36.npz")
     parser.add_argument("--out", type=Path, default=OUT, help="file to write (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the choice of frames")
@@ -306,6 +323,7 @@ def main() -> None:
         "what": "NYU's 36 annotated points on our skeleton: x in bone lengths, y z in palm lengths",
         "source": "NYU hand pose data set, test annotations (Tompson et al. 2014)",
         "made_by": f"models/nyu_map.py --seed {arguments.seed}",
+        "hand_model": hand_model_hash(),
         "frames": len(frames),
         "scales": np.round(state.scales, 4).tolist(),
         "residual_mm": {
@@ -329,10 +347,14 @@ def main() -> None:
         print(f"{k:2d} {row['bone']:18s} {row['fractions']}  {row['residual_mm']:.2f} mm")
 
 
+def hand_model_hash() -> str:
+    """Configuration hash of the hand model that the map was estimated with."""
+    with np.load(artifact_path("hand.npz"), allow_pickle=False) as data:
+        return str(data["config_hash"])
+
+
 def _one_line_each(text: str) -> str:
     """JSON with the innermost lists on one line."""
-    import re
-
     return re.sub(r"\[\s+([-\d.,\s]+?)\s+\]", lambda m: f"[{' '.join(m[1].split())}]", text) + "\n"
 
 

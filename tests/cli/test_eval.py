@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tyro
 
+from handtrack.cli import main
 from handtrack.cli.eval import EvalOptions, run
 from handtrack.errors import InputError, MissingFileError
 from handtrack.evaluation.protocols import NYU
@@ -125,3 +126,14 @@ def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         parse("x.txt", "--protocol", "msra")
     assert caught.value.code == 2
+
+
+def test_command_line_ends_with_the_documented_codes(
+    sequence: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = str(sequence / "sequence.npz")
+    assert main(["eval", str(sequence / "good.npz"), "--truth", truth]) == 0
+    assert "4.000 mm" in capsys.readouterr().out
+    assert main(["eval", str(sequence / "nothing.npz"), "--truth", truth]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert main(["eval", "--truth", truth]) == 2

@@ -27,6 +27,13 @@ def test_results_against_the_sequence(truth: np.ndarray, tmp_path: Path) -> None
             assert result.name == "run" and result.summary.frames == 10
 
 
+def test_a_folder_stands_for_the_only_npz_in_it(truth: np.ndarray, tmp_path: Path) -> None:
+    np.savez(tmp_path / "mine.npz", keypoints=truth)
+    (tmp_path / "demo").mkdir()
+    np.savez(tmp_path / "demo" / "fist.npz", truth_keypoints=truth)
+    assert evaluate_results(tmp_path / "mine.npz", tmp_path / "demo").summary.mean_mm == 0.0
+
+
 def test_results_may_carry_their_own_truth(truth: np.ndarray, tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", keypoints=truth, truth_keypoints=truth)
     assert evaluate_results(tmp_path / "a.npz").summary.mean_mm == 0.0

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from handtrack.camera.camera import Camera
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import HandModel, ShapedHand
-from handtrack.hand.side import MIRROR
 from handtrack.transforms import matrix_to_quat, rotvec_to_matrix
 
 Float = NDArray[np.float64]
@@ -65,10 +64,10 @@ def seen_poses(
         Poses, shape (count, 28).
     """
     poses = np.zeros((count, 28))
-    facing = PALM_TO_CAMERA if hand.side == "right" else PALM_TO_CAMERA * [-1, 1, 1]
+    facing = PALM_TO_CAMERA
     if hand.side == "left":
-        # The mirror image of the right hand's view: diag(-1, 1, 1) R M.
-        facing = np.diag([-1.0, 1.0, 1.0]) @ PALM_TO_CAMERA @ np.diag(MIRROR)
+        # The mirror image of the right hand's view, which turns the camera's x and the palm's z over.
+        facing = np.diag([-1.0, 1.0, 1.0]) @ PALM_TO_CAMERA @ np.diag([1.0, 1.0, -1.0])
     turns = rotvec_to_matrix(turn * rng.standard_normal((count, 3)))
     poses[:, 3:7] = matrix_to_quat(turns @ facing)
     bent = within_limits(hand, rng, count)

@@ -74,10 +74,11 @@ def evaluate_results(results: str | Path, truth: str | Path | None = None) -> Ev
 
 
 def _file(path: str | Path, default: str) -> Path:
-    """The file itself, or the one of the usual name in a folder."""
+    """The file itself; in a folder the one of the usual name, or the only .npz there."""
     path = Path(path)
     if path.is_dir():
-        path = path / default
+        held = sorted(path.glob("*.npz"))
+        path = held[0] if len(held) == 1 else path / default
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file")
     return path

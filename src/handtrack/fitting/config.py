@@ -9,6 +9,9 @@ import numpy as np
 from handtrack.errors import InputError
 
 
+_SIGNED = ("min_cosine", "wrist_cut")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitConfig:
     """One frame's fit. Weights are per squared centimetre and per squared radian.
@@ -36,8 +39,8 @@ class FitConfig:
     """Neighbours used for observed normals [cells]; 0 leaves normals out of the matching."""
     min_cosine: float = 0.3
     """Least cosine between observed and model normal for a match; -1 accepts all."""
-    wrist_margin: float = 0.005
-    """Points farther than this behind the wrist are the forearm's [m]."""
+    wrist_cut: float = 0.0
+    """Palm-frame x below which observed points are the forearm's [m]; 0 is the wrist joint."""
 
     iterations: int = 4
     """Gauss-Newton steps per frame."""
@@ -47,6 +50,8 @@ class FitConfig:
     """Share of the tangential distance: 0 is point-to-plane, 1 point-to-point (Eq. II.23)."""
     robust_scale: float = 0.015
     """Scale of the Geman-McClure weight of the registration term [m]; large switches it off."""
+    robust_start: float = 0.03
+    """That scale in the first iteration; it shrinks geometrically to `robust_scale` in the last [m]."""
     smooth_weight: float = 0.2
     """lambda_2 of Eq. II.21: smoothness of translation [1/cm^2] and rotations [1/rad^2]."""
     limit_weight: float = 1000.0
@@ -91,6 +96,10 @@ class FitConfig:
     score_cap: float = 0.04
     """Largest depth difference counted for one pixel of E_d [m]."""
 
+    def robust_scales(self) -> list[float]:
+        """Scale of the registration term's robust weight in each iteration [m]."""
+        return np.geomspace(self.robust_start, self.robust_scale, self.iterations).tolist()
+
     def __post_init__(self) -> None:
         """Check ranges.
 
@@ -99,7 +108,7 @@ class FitConfig:
         """
         for field in fields(self):
             value = getattr(self, field.name)
-            if not np.isfinite(value) or (value < 0 and field.name != "min_cosine"):
+            if not np.isfinite(value) or (value < 0 and field.name not in _SIGNED):
                 raise InputError(f"FitConfig.{field.name} is {value}; expected a finite number >= 0")
         divisor = np.lcm(self.bin_cells, np.lcm(self.point_stride, self.score_scale))
         if self.crop_cells < 16 or self.crop_cells % divisor:
@@ -112,6 +121,7 @@ class FitConfig:
 THESIS = FitConfig(
     tangent_weight=1.0,
     robust_scale=10.0,
+    robust_start=10.0,
     normal_reach=0,
     min_cosine=-1.0,
     silhouette_weight=0.0,

@@ -195,10 +195,10 @@ class Fitter:
         config = self.config
         rows.damping.fill_(config.damping)
         rows.best_totals.fill_(float("inf"))
-        for _ in range(config.iterations):
+        for robust_scale in config.robust_scales():
             self._launch_pose(rows)
             self._launch_match(rows)
-            self._launch_residuals(rows)
+            self._launch_residuals(rows, robust_scale)
             self._launch_system(rows)
             self._launch_step(rows)
         self._launch_pose(rows)
@@ -229,10 +229,10 @@ class Fitter:
             rows.vertices, rows.normals, rows.heads, rows.following, rows.rotations, rows.origins,
             stride=config.point_stride, bin_size=config.bin_cells, nbin=nbin,
             window=config.search_window, max_distance=config.max_distance,
-            min_cosine=config.min_cosine, wrist_x=-config.wrist_margin, matches=rows.matches,
+            min_cosine=config.min_cosine, wrist_x=config.wrist_cut, matches=rows.matches,
         )  # fmt: skip
 
-    def _launch_residuals(self, rows: RowArrays) -> None:
+    def _launch_residuals(self, rows: RowArrays, robust_scale: float) -> None:
         hand, image, config = self.hand, self.image, self.config
         directions = point_directions(config)
         residuals.point_rows(
@@ -241,7 +241,7 @@ class Fitter:
             rows.normals, rows.rotations, rows.origins, rows.axes,
             stride=config.point_stride, directions=directions,
             tangent_weight=config.tangent_weight, weight=config.point_weight * SQUARE_METRE,
-            robust_scale=config.robust_scale, max_distance=config.max_distance,
+            robust_scale=robust_scale, max_distance=config.max_distance,
             rows=rows.rows, residuals=rows.residuals, chains=rows.chains, costs=rows.costs,
         )  # fmt: skip
         if config.silhouette_weight > 0 or config.front_weight > 0:
@@ -310,5 +310,5 @@ class Fitter:
         score.score_depth(
             rows.row_hand, rows.keys, self.image.cells, self.image.points,
             rows.rotations, rows.origins, scale=config.score_scale, cap=config.score_cap,
-            wrist_x=-config.wrist_margin, errors=rows.errors, counts=rows.counts,
+            wrist_x=config.wrist_cut, errors=rows.errors, counts=rows.counts,
         )  # fmt: skip

@@ -25,10 +25,10 @@ def forearm_faces(first_vertex: int) -> NDArray[np.int32]:
         for k in range(SEGMENTS):
             a, b = ring * SEGMENTS + k, ring * SEGMENTS + (k + 1) % SEGMENTS
             c, d = a + SEGMENTS, b + SEGMENTS
-            faces += [[a, b, c], [b, d, c]]
+            faces += [[a, c, b], [b, c, d]]
     last = (RINGS - 1) * SEGMENTS
     for k in range(1, SEGMENTS - 1):
-        faces += [[0, k + 1, k], [last, last + k, last + k + 1]]
+        faces += [[0, k, k + 1], [last, last + k + 1, last + k]]
     return np.array(faces, np.int32) + first_vertex
 
 
