@@ -1,4 +1,4 @@
-"""Where the trained artifacts and sample data lie: in the installed package, or in a checkout."""
+"""Where artifacts, sample data and benchmark cases lie: in the installed package, or a checkout."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from pathlib import Path
 from handtrack.errors import MissingFileError
 
 _PACKAGE = Path(__file__).resolve().parent
-_FOLDERS = ("models", "data")
+_FOLDERS = ("models", "data", "benchmarks")
 
 
 def artifact_root() -> Path:
-    """Folder that holds `models/` and `data/`: inside the package in a wheel, else the checkout."""
+    """Folder that holds `models/`, `data/` and `benchmarks/`: in a wheel's package, or the checkout."""
     packed = _PACKAGE / "_artifacts"
     return packed if packed.is_dir() else _PACKAGE.parents[1]
 
 
 def artifact_path(name: str) -> Path:
-    """Path of a trained artifact or of sample data that comes with handtrack.
+    """Path of a trained artifact, sample data or benchmark cases that come with handtrack.
 
     Args:
-        name: Such as "hand.npz" or "models/hand.npz", "demo.npz" or "data/demo.npz".
+        name: Such as "hand.npz" or "models/hand.npz", "demo.npz" or "data/demo.npz",
+            "benchmarks/tracking.toml".
 
     Raises:
         MissingFileError: Nothing of that name comes with this installation.

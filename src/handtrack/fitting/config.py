@@ -42,34 +42,35 @@ class FitConfig:
     wrist_cut: float = 0.0
     """Palm-frame x below which observed points are the forearm's [m]; 0 is the wrist joint."""
 
-    iterations: int = 4
+    iterations: int = 10
     """Gauss-Newton steps per frame."""
     point_weight: float = 1.0
     """lambda_1 of Eq. II.21: weight of the registration term [1/cm^2]."""
     tangent_weight: float = 0.0
     """Share of the tangential distance: 0 is point-to-plane, 1 point-to-point (Eq. II.23)."""
-    robust_scale: float = 0.015
+    robust_scale: float = 0.008
     """Scale of the Geman-McClure weight of the registration term [m]; large switches it off."""
-    robust_start: float = 0.03
+    robust_start: float = 0.02
     """That scale in the first iteration; it shrinks geometrically to `robust_scale` in the last [m]."""
-    smooth_weight: float = 0.2
-    """lambda_2 of Eq. II.21: smoothness of translation [1/cm^2] and rotations [1/rad^2]."""
+    smooth_weight: float = 2.0
+    """lambda_2 of Eq. II.21: smoothness of translation [1/cm^2] and rotations [1/rad^2]. The thesis
+    has 0.2; more filters sensor noise, and lags behind fast motion."""
     limit_weight: float = 1000.0
     """lambda_3 of Eq. II.21: weight of squared excess over a joint limit [1/rad^2]."""
 
-    silhouette_weight: float = 1.0
+    silhouette_weight: float = 0.3
     """Weight of model vertices over the background [1/cm^2]; 0 switches the term off."""
     silhouette_scale: float = 0.03
     """Geman-McClure scale of that distance [m]."""
-    silhouette_margin: float = 1.0
+    silhouette_margin: float = 2.0
     """Distance outside the silhouette that costs nothing [cells]."""
     silhouette_reach: int = 24
     """Farthest foreground looked for [cells]."""
-    front_weight: float = 0.2
+    front_weight: float = 0.0
     """Weight of model vertices in front of the observed surface [1/cm^2]; 0 switches the term off."""
     front_scale: float = 0.03
     """Geman-McClure scale of that distance [m]."""
-    front_margin: float = 0.005
+    front_margin: float = 0.015
     """Distance in front of the surface that costs nothing [m]."""
     collision_weight: float = 0.0
     """Weight of overlaps between fingers [1/cm^2]; 0 switches the term off."""
@@ -129,5 +130,7 @@ THESIS = FitConfig(
     damping=0.0,
     translation_floor=1e-6,
     angle_floor=1e-6,
+    smooth_weight=0.2,
+    iterations=4,
 )
 """The energy of Eq. II.21 with the thesis' weights: point-to-point, smoothness, limits, plain steps."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from handtrack.fitting.fitter import Fitter
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.priors.gaussian import GaussianPrior
+from handtrack.tracking.rescue import restart_poses
 from handtrack.transforms import apply_increment, pose_difference
 
 
@@ -26,6 +27,12 @@ class ModelBasedConfig:
     """The fit of one frame."""
     velocity: float = 1.0
     """Share of the last motion that a second hypothesis repeats; 0 leaves that hypothesis out."""
+    rescue_rows: int = 16
+    """Random restarts tried on a frame that is explained badly; 0 switches them off."""
+    rescue_error: float = 0.008
+    """Depth error above which restarts are tried [m]."""
+    rescue_gain: float = 0.9
+    """A restart replaces the tracked pose when its depth error is below so much of the tracked one's."""
     lost_error: float = 0.02
     """tau of Eq. II.19: depth error above which the hand counts as lost [m]."""
 
@@ -37,13 +44,18 @@ class ModelBasedConfig:
         """
         if not 0 <= self.velocity <= 2:
             raise InputError(f"velocity is {self.velocity}; expected 0 to 2")
+        if self.rescue_rows < 0 or not 0 < self.rescue_gain <= 1 or self.rescue_error <= 0:
+            raise InputError(
+                f"rescue_rows, rescue_gain, rescue_error are {self.rescue_rows}, {self.rescue_gain},"
+                f" {self.rescue_error}; expected >= 0, 0 to 1 and > 0"
+            )
         if not 0 < self.lost_error <= self.fit.score_cap:
             raise InputError(
                 f"lost_error is {self.lost_error}; expected up to score_cap {self.fit.score_cap}"
             )
 
 
-THESIS_TRACKER = ModelBasedConfig(fit=replace(THESIS, iterations=4), velocity=0.0)
+THESIS_TRACKER = ModelBasedConfig(fit=THESIS, velocity=0.0, rescue_rows=0)
 """The thesis' model-based tracking: Eq. II.21 alone, from the previous pose."""
 
 
@@ -69,6 +81,7 @@ class TrackerModelBased:
         *,
         config: ModelBasedConfig | None = None,
         device: str | None = None,
+        seed: int = 0,
         graph: bool = True,
     ) -> None:
         """Allocate for one hand and camera.
@@ -78,16 +91,24 @@ class TrackerModelBased:
             camera: Camera of the depth images.
             config: Settings.
             device: "cpu", "cuda:N" or None for the best there is.
+            seed: Seed of the random restarts.
             graph: False launches eagerly, for debugging.
         """
         self.config = config if config is not None else ModelBasedConfig()
         self._hand = hand
         prior = GaussianPrior.load() if self.config.fit.prior_weight > 0 else None
         self._nhyp = 2 if self.config.velocity > 0 else 1
-        self._fitter = Fitter(
-            [hand], camera, config=self.config.fit, nhyp=self._nhyp, device=device,
-            prior=prior, graph=graph,
-        )  # fmt: skip
+
+        def fitter(rows: int) -> Fitter:
+            return Fitter(
+                [hand], camera, config=self.config.fit, nhyp=rows, device=device, prior=prior,
+                graph=graph,
+            )  # fmt: skip
+
+        self._fitter = fitter(self._nhyp)
+        self._rescuer = fitter(self.config.rescue_rows) if self.config.rescue_rows else None
+        self._seed = seed
+        self._rng = np.random.default_rng(seed)
         self._pose: NDArray[np.float64] | None = None
         self._motion = np.zeros(27)
 
@@ -100,6 +121,7 @@ class TrackerModelBased:
         """Go on from a pose at rest, shape (28,), or from nothing."""
         self._pose = None if pose is None else np.array(pose, np.float64)
         self._motion = np.zeros(27)
+        self._rng = np.random.default_rng(self._seed)
 
     def step(self, depth: NDArray[np.float32]) -> Estimate:
         """Follow the hand into the next frame.
@@ -115,24 +137,36 @@ class TrackerModelBased:
         assert pose is not None, "start first"
         predicted = apply_increment(pose, self.config.velocity * self._motion)
         starts = np.stack([pose, predicted][: self._nhyp])
-        # The middle between both hypotheses keeps either within the crop.
-        centre = keypoints(self._hand, starts).mean(axis=(0, 1))
-        self._fitter.load_depth(depth)
-        self._fitter.place(centre)
-        self._fitter.set_poses(starts)
         clock.append(time.perf_counter())
-        self._fitter.run()
+        found, error = self._refine(self._fitter, depth, starts)
         clock.append(time.perf_counter())
-        errors = self._fitter.errors
-        best = int(np.argmin(errors))
-        found = self._fitter.poses[best].astype(np.float64)
-        found[3:7] /= np.linalg.norm(found[3:7])
+        if self._rescuer is not None and error > self.config.rescue_error:
+            restarts = restart_poses(self._hand, found, self.config.rescue_rows, self._rng)
+            other, other_error = self._refine(self._rescuer, depth, restarts)
+            if other_error < self.config.rescue_gain * error:
+                found, error = other, other_error
         self._motion = pose_difference(found, pose)
         self._pose = found
         clock.append(time.perf_counter())
         spans = 1e3 * np.diff(clock)
         return Estimate(
             pose=found,
-            depth_error=float(errors[best]),
-            timings=dict(zip(("prepare", "fit", "choose"), map(float, spans), strict=True)),
+            depth_error=error,
+            timings=dict(zip(("predict", "fit", "rescue"), map(float, spans), strict=True)),
         )
+
+    def _refine(
+        self, fitter: Fitter, depth: NDArray[np.float32], starts: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], float]:
+        """Best of the refined starts, shape (28,), and its depth error [m]."""
+        # The middle between the starts keeps each of them within the crop.
+        centre = keypoints(self._hand, starts).mean(axis=(0, 1))
+        fitter.load_depth(depth)
+        fitter.place(centre)
+        fitter.set_poses(starts)
+        fitter.run()
+        errors = fitter.errors
+        best = int(np.argmin(errors))
+        found = fitter.poses[best].astype(np.float64)
+        found[3:7] /= np.linalg.norm(found[3:7])
+        return found, float(errors[best])

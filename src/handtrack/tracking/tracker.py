@@ -57,7 +57,7 @@ class HandTracker:
             device: "cpu", "cuda:N" or None for the best there is.
             tracker: One of `TRACKERS`.
             config: Settings instead of the tracker's own.
-            seed: Seed of whatever is random; the model-based trackers draw nothing.
+            seed: Seed of whatever is random: the restarts after a loss.
             model: The parametric hand; the one that comes with handtrack when None.
             graph: False launches eagerly, for debugging.
 
@@ -70,7 +70,8 @@ class HandTracker:
         self.camera, self.side, self.seed = camera, check_side(side), seed
         self.hand = (model if model is not None else HandModel.load()).shaped(shape, side=side)
         self._tracker = TrackerModelBased(
-            self.hand, camera, config=config or TRACKERS[tracker], device=device, graph=graph
+            self.hand, camera, config=config or TRACKERS[tracker], device=device,
+            seed=seed, graph=graph,
         )
         self._buffer = np.zeros(camera.shape, np.float32)
         self._state = TrackState.NO_HAND
@@ -100,7 +101,7 @@ class HandTracker:
         clean, problem = check_depth(depth, self.camera, out=self._buffer)
         checked = 1e3 * (time.perf_counter() - begin)
         if not self._tracker.started:
-            why = problem or f"the tracker has no first pose; call reset(pose)"
+            why = problem or "the tracker has no first pose; call reset(pose)"
             return self._result(TrackState.NO_HAND, np.full(NQ, np.nan), np.nan, why, {})
         if problem is not None:
             self._state = TrackState.LOST

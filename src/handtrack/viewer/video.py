@@ -162,24 +162,3 @@ class VideoWriter:
             self.close()
         else:
             self.discard()
-
-
-def write_picture(path: str | os.PathLike[str], picture: Image) -> Path:
-    """Write a picture as .png or .jpg, replaced as a whole; returns its path.
-
-    Raises:
-        InputError: The ending is unknown to OpenCV or the folder does not exist.
-    """
-    path = Path(path)
-    if not path.resolve().parent.is_dir():
-        raise InputError(f"{path.resolve().parent} is no folder: create it first")
-    try:
-        written, data = cv2.imencode(path.suffix, picture)
-    except cv2.error:
-        written, data = False, np.empty(0, np.uint8)
-    if not written:
-        raise InputError(f"picture {str(path)!r} ends in {path.suffix!r}: expected .png or .jpg")
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    part.write_bytes(data.tobytes())
-    part.replace(path)
-    return path

@@ -1,0 +1,223 @@
+"""What all suites share: their settings, their result, their targets, and where their data lies."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handtrack.artifacts import artifact_path
+from handtrack.camera.camera import Camera
+from handtrack.camera.frame import DepthFrame
+from handtrack.errors import DamagedFileError, InputError
+from handtrack.evaluation.runner import Progress, no_progress
+from handtrack.hand.model import ShapedHand
+from handtrack.hand.shape import HandShape
+from handtrack.tracking.tracker import TRACKERS
+
+SUITES: dict[str, str] = {
+    "selftest": "self-occlusion: two fists, noise-free, own model (Hamer 4.4.1)",
+    "tracking": "recorded motion with forearm and sensor noise, three subjects, three frame rates",
+    "speed": "time per frame and stage for 1 to 64 hypotheses, start-up",
+    "ablation": "the tracker with every switch changed, one after the other",
+    "real": "labelled real images, started from their labels (needs --data)",
+    "sequence": "any recorded sequence (needs --sequence)",
+}
+"""Suite -> what it measures. Each is a module of this package with a function of that name."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedFrames:
+    """A recorded sequence with all that a tracker is told about it."""
+
+    name: str
+    """Name of the sequence."""
+    frames: list[DepthFrame]
+    """Its frames, with whatever truth they carry."""
+    starts: Mapping[int, NDArray[np.float64]]
+    """Place among the frames -> pose given there, shape (28,)."""
+    side: str
+    """Which hand."""
+    shape: HandShape
+    """Its shape."""
+    notes: tuple[str, ...] = ()
+    """Where shape and first pose come from."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SuiteSettings:
+    """What the user of a suite may choose."""
+
+    trackers: tuple[str, ...] = ()
+    """Trackers to measure; empty takes the suite's own."""
+    device: str | None = None
+    """"cpu", "cuda:N" or None for the best there is."""
+    seed: int = 0
+    """Seed of the sensor noise and of the trackers."""
+    quick: bool = False
+    """Run the small part of the suite that its file in `benchmarks/` names, to see that it works."""
+    shape: Literal["given", "mean"] = "given"
+    """Whether trackers know the subject's shape or take the mean hand."""
+    data: Path | None = None
+    """Folder with recordings of others, for the suites that need them."""
+    sequence: RecordedFrames | None = None
+    """Recorded sequence, for the suite of that name."""
+    cold: bool = False
+    """Measure the start without compiled kernels too, which takes minutes."""
+    progress: Progress = no_progress
+    """Shows how far the suite is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """What a suite should reach, and what it reached."""
+
+    case: str
+    """Name of the case."""
+    tracker: str
+    """Name of the tracker."""
+    value: str
+    """Path of the number in the case, such as "keypoint_error_mm.mean"."""
+    bound: float
+    """The target."""
+    at_most: bool
+    """Whether the number must not be over the target; else not under it."""
+    reached: float
+    """The number."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the target is met."""
+        return self.reached <= self.bound if self.at_most else self.reached >= self.bound
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the target's entry in the benchmark file."""
+        return {
+            "case": self.case, "tracker": self.tracker, "value": self.value,
+            "at_most" if self.at_most else "at_least": self.bound,
+            "reached": self.reached, "passed": self.passed,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overlay:
+    """A pose over an image, for a picture."""
+
+    name: str
+    """Name of the picture."""
+    depth: NDArray[np.float32]
+    """Depth image [m], shape (height, width) of the camera."""
+    camera: Camera
+    """Its camera."""
+    hand: ShapedHand
+    """The hand."""
+    pose: NDArray[np.float64]
+    """Its pose, shape (28,)."""
+    text: str = ""
+    """What to write into the picture."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SuiteResult:
+    """What a suite measured."""
+
+    suite: str
+    """Name of the suite."""
+    cases: list[dict[str, Any]]
+    """Cases in the layout of the benchmark file."""
+    targets: list[Target] = field(default_factory=list)
+    """Targets that apply to them."""
+    errors_mm: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    """Name of a curve -> error of every keypoint [mm], shape (n, njoint)."""
+    overlays: list[Overlay] = field(default_factory=list)
+    """Pictures worth a look."""
+    notes: list[str] = field(default_factory=list)
+    """What a reader of the numbers should know."""
+    more: dict[str, Any] = field(default_factory=dict)
+    """Further entries of the benchmark file, beside the cases."""
+
+
+Suite = Callable[[SuiteSettings, Mapping[str, Any]], SuiteResult]
+
+
+def run_suite(name: str, settings: SuiteSettings) -> SuiteResult:
+    """Run a suite.
+
+    Raises:
+        InputError: There is no such suite, or it needs a setting that is missing.
+        HandtrackError: Something that the suite needs is missing or damaged.
+    """
+    if name not in SUITES:
+        raise InputError(f"there is no suite {name!r}: expected one of {', '.join(SUITES)}")
+    for tracker in settings.trackers:
+        if tracker not in TRACKERS:
+            raise InputError(f"tracker is {tracker!r}; expected one of {', '.join(TRACKERS)}")
+    if len(set(settings.trackers)) < len(settings.trackers):
+        raise InputError(f"trackers are {', '.join(settings.trackers)}: name each one once")
+    run: Suite = getattr(import_module(f"{__package__}.{name}"), f"{name}_suite")
+    return run(settings, load_cases(name))
+
+
+def load_cases(name: str) -> dict[str, Any]:
+    """Content of a suite's file in `benchmarks/`.
+
+    Raises:
+        MissingFileError: It does not come with this installation.
+        DamagedFileError: It is not TOML.
+    """
+    path = artifact_path(f"benchmarks/{name}.toml")
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except (tomllib.TOMLDecodeError, OSError) as error:
+        raise DamagedFileError(f"{path} is not readable as TOML: {error}") from error
+
+
+def chosen(settings: SuiteSettings, cases: Mapping[str, Any]) -> dict[str, Any]:
+    """The suite's data, with the entries of its table `quick` in their place when asked for."""
+    data = {key: value for key, value in cases.items() if key != "quick"}
+    if settings.quick:
+        data |= cases.get("quick", {})
+    if settings.trackers:
+        data["trackers"] = list(settings.trackers)
+    return data
+
+
+def judged(
+    cases: Sequence[Mapping[str, Any]], targets: Sequence[Mapping[str, Any]], tracker: str
+) -> list[Target]:
+    """Compare cases with the targets of a suite.
+
+    Args:
+        cases: Measured cases.
+        targets: Entries `case`, `value` and `at_most` or `at_least`.
+        tracker: The tracker whose cases must meet them.
+
+    Returns:
+        The targets whose case was measured.
+    """
+    found = []
+    for target in targets:
+        for case in cases:
+            if (case["case"], case["tracker"]) != (target["case"], tracker):
+                continue
+            reached: Any = case
+            for key in target["value"].split("."):
+                reached = reached[key]
+            found.append(
+                Target(
+                    case=target["case"],
+                    tracker=tracker,
+                    value=target["value"],
+                    bound=float(target.get("at_most", target.get("at_least"))),
+                    at_most="at_most" in target,
+                    reached=float(reached),
+                )
+            )
+    return found
