@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import warp as wp
 from numpy.typing import NDArray
-from oracles.scenes import SMALL_CAMERA, hand_centre, rounded, seen_poses, shaped_hand
 
 from handtrack.camera.camera import Camera
 from handtrack.fitting.config import FitConfig
@@ -20,6 +19,7 @@ from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.transforms import apply_increment
+from oracles.scenes import SMALL_CAMERA, hand_centre, rounded, seen_poses, shaped_hand
 
 CAMERAS = {
     "160x120": SMALL_CAMERA,
@@ -67,9 +67,7 @@ def _scene(side: str, camera: str, count: int, seed: int) -> Scene:
     truth = seen_poses(hand, rng, count, distance=distance, turn=0.3, bend=0.25)
     start = apply_increment(truth, START_NOISE * rng.uniform(-1, 1, (count, 27)))
     depth = DepthRenderer(hand, CAMERAS[camera], device="cpu", batch=4).render(truth)
-    return Scene(
-        hand=hand, camera=CAMERAS[camera], truth=truth, start=rounded(start), depth=depth
-    )
+    return Scene(hand=hand, camera=CAMERAS[camera], truth=truth, start=rounded(start), depth=depth)
 
 
 @pytest.fixture(scope="session")

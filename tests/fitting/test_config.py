@@ -57,7 +57,7 @@ def test_values_out_of_range_are_told(name: str, value: float) -> None:
     ids=str,
 )
 def test_cells_that_do_not_divide_are_told(values: dict) -> None:
-    with pytest.raises(InputError, match="crop_cells.*multiple"):
+    with pytest.raises(InputError, match=r"crop_cells.*multiple"):
         FitConfig(**values)
 
 

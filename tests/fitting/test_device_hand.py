@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from oracles.device_arrays import download
-from oracles.energy import Spheres
-from oracles.scenes import seen_poses, shaped_hand
 
 from handtrack.fitting.device_hand import DeviceHand
 from handtrack.fitting.spheres import CollisionSpheres
 from handtrack.hand.kinematics import bone_frames, skin
 from handtrack.hand.side import MIRROR
 from handtrack.hand.skeleton import ANGLE_BONES, DISTAL_BONES, finger_of_bone
+from oracles.device_arrays import download
+from oracles.energy import Spheres
+from oracles.scenes import seen_poses, shaped_hand
 
 
 def test_vertices_depend_on_their_own_finger_only(device: str) -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oracles.scenes import hand_centre, shaped_hand
 
 from handtrack.camera.camera import Camera
 from handtrack.errors import DeviceError, InputError
@@ -18,6 +17,7 @@ from handtrack.kernels import solve
 from handtrack.priors.gaussian import GaussianPrior
 from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.transforms import pose_difference
+from oracles.scenes import hand_centre, shaped_hand
 
 MILLIMETRE = 1e-3
 
@@ -86,9 +86,7 @@ def test_the_fit_of_a_mirrored_image_is_the_mirrored_pose(make_scene, device) ->
     mirrored_camera = replace(camera, cx=camera.width - 1 - camera.cx)
     fitter = right.fitter(device)
     fitter.run()
-    mirrored = Fitter(
-        [shaped_hand("left", 3)] * 6, mirrored_camera, device=device, threads=1
-    )
+    mirrored = Fitter([shaped_hand("left", 3)] * 6, mirrored_camera, device=device, threads=1)
     start = mirror_pose(right.start)
     mirrored.load_depth(right.depth[:, :, ::-1])
     mirrored.place(hand_centre(right.hand, right.start) * [-1, 1, 1])
@@ -151,7 +149,7 @@ def test_eager_equals_captured_in_every_frame(make_scene, device, config) -> Non
         results = []
         for fitter in (eager, captured):
             fitter.load_depth(np.ascontiguousarray(depth))
-            fitter.place(hand_centre(scene.hand, scene.start) + [0, 0, 0.001 * frame])
+            fitter.place(hand_centre(scene.hand, scene.start) + 0.001 * frame)
             fitter.set_poses(scene.start)
             fitter.run()
             results.append((fitter.poses, fitter.errors))
@@ -256,7 +254,7 @@ def test_accepted_steps_never_raise_the_energy(make_scene, device, monkeypatch) 
 
 
 def test_a_step_is_judged_by_one_energy(make_scene, device, monkeypatch) -> None:
-    # With a robust scale that shrinks from step to step, energies of different steps do not compare.
+    # While the robust scale shrinks from step to step, energies of different steps do not compare.
     scene = make_scene(count=6)
     config = replace(LEVENBERG, iterations=6, robust_start=0.05, robust_scale=0.01)
     with monkeypatch.context() as patch:
@@ -519,7 +517,7 @@ def test_arrays_of_another_shape_are_told(make_scene, quick_config) -> None:
     for shape in ((27,), (2, 28), (28, 2)):
         with pytest.raises(InputError, match="pose"):
             fitter.set_poses(np.zeros(shape))
-    with pytest.raises(InputError, match="pose|reference"):
+    with pytest.raises(InputError, match=r"pose|reference"):
         fitter.set_poses(np.zeros(28), np.zeros(27))
     with pytest.raises(InputError, match="centre"):
         fitter.place(np.zeros((2, 3)))

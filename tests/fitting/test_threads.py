@@ -23,26 +23,26 @@ from handtrack.transforms import apply_increment
 
 rng = np.random.default_rng(1)
 hand = shaped_hand()
-truth = seen_poses(hand, rng, 1, turn=0.3, bend=0.2)
+truth = seen_poses(hand, rng, 3, turn=0.3, bend=0.2)
 depth = DepthRenderer(hand, SMALL_CAMERA, device="cpu", batch=1).render(truth)
-starts = apply_increment(np.repeat(truth, 5, 0), 0.03 * rng.uniform(-1, 1, (5, 27)))
+starts = apply_increment(np.repeat(truth, 2, 0), 0.03 * rng.uniform(-1, 1, (6, 27)))
 config = FitConfig(crop_cells=32, levenberg=True, collision_weight=1.0)
 
 def results(threads, graph, frames):
     fitter = Fitter(
-        [hand], SMALL_CAMERA, config=config, nhyp=5, device="cpu", graph=graph, threads=threads
+        [hand] * 3, SMALL_CAMERA, config=config, nhyp=2, device="cpu", graph=graph, threads=threads
     )
     fitter.load_depth(depth)
     fitter.place(hand_centre(hand, truth))
     for frame in range(frames):
-        fitter.set_poses(np.roll(starts, frame, axis=0))
+        fitter.set_poses(starts + 0.001 * (frame % 5))
         fitter.run()
         yield fitter.poses, fitter.errors
 
 for graph in (True, False):
     one = list(results(1, graph, 5))
     for threads in (2, 3, 64):
-        for frame, (poses, errors) in enumerate(results(threads, graph, 40)):
+        for frame, (poses, errors) in enumerate(results(threads, graph, 30)):
             expected_poses, expected_errors = one[frame % 5]
             assert np.array_equal(poses, expected_poses), (graph, threads, frame)
             assert np.array_equal(errors, expected_errors), (graph, threads, frame)

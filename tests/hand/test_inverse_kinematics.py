@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles.scenes import seen_poses, shaped_hand
 
 from handtrack.errors import InputError
 from handtrack.hand.inverse_kinematics import (
@@ -15,6 +14,7 @@ from handtrack.hand.inverse_kinematics import (
 )
 from handtrack.hand.kinematics import keypoints
 from handtrack.transforms import apply_increment, quat_to_matrix
+from oracles.scenes import seen_poses, shaped_hand
 
 STEP = 1e-6
 CENTRAL = 1e-8

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.hand_formulas import Subject
-from oracles.scenes import hand_model, seen_poses, shaped_hand, within_limits
 
 from handtrack.hand.kinematics import bone_frames, keypoints, skin, skin_normals
 from handtrack.hand.model import vertex_normals
 from handtrack.hand.skeleton import BONE_PARENTS, NBONE
 from handtrack.transforms import matrix_to_quat, quat_to_matrix, rotvec_to_matrix
+from oracles.hand_formulas import Subject
+from oracles.scenes import hand_model, seen_poses, shaped_hand, within_limits
 
 ROUNDING = 1e-12
 STORED_WEIGHTS = 5e-7

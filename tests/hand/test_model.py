@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from oracles.scenes import hand_model, shaped_hand
 
 from handtrack.artifacts import artifact_path
 from handtrack.errors import DamagedFileError, HandtrackError, MissingFileError
@@ -25,6 +24,7 @@ from handtrack.hand.skeleton import (
     NBONE,
     finger_of_bone,
 )
+from oracles.scenes import hand_model, shaped_hand
 
 
 def flat_pose(**angles: float) -> np.ndarray:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from oracles.scenes import hand_model
 
 from handtrack.errors import DamagedFileError, HandtrackError, InputError, MissingFileError
 from handtrack.hand.kinematics import keypoints, skin
 from handtrack.hand.shape import HandShape
+from oracles.scenes import hand_model
 
 in_tmp = settings(
     deadline=None,

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.hand_formulas import turn
-from oracles.scenes import hand_model, seen_poses, shaped_hand, within_limits
 
 from handtrack.errors import HandtrackError, InputError
 from handtrack.hand.kinematics import keypoints, skin, skin_normals
@@ -19,6 +17,8 @@ from handtrack.hand.side import (
     mirror_rotations,
 )
 from handtrack.transforms import matrix_to_quat, quat_to_matrix, rotvec_to_matrix
+from oracles.hand_formulas import turn
+from oracles.scenes import hand_model, seen_poses, shaped_hand, within_limits
 
 ROUNDING = 1e-12
 PICTURE = np.array([-1.0, 1.0, 1.0])
@@ -53,9 +53,7 @@ def test_mirroring_twice_is_nothing(seed: int) -> None:
     pose = pose_of(seed)
     back = mirror_pose(mirror_pose(pose))
     np.testing.assert_allclose(np.delete(back, range(3, 7)), np.delete(pose, range(3, 7)))
-    np.testing.assert_allclose(
-        quat_to_matrix(back[3:7]), quat_to_matrix(pose[3:7]), atol=ROUNDING
-    )
+    np.testing.assert_allclose(quat_to_matrix(back[3:7]), quat_to_matrix(pose[3:7]), atol=ROUNDING)
 
 
 @settings(deadline=None, max_examples=25, derandomize=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles.hand_formulas import BASES, BONE_ANGLES, PARENTS, TIPS
 
 from handtrack.hand import skeleton
+from oracles.hand_formulas import BASES, BONE_ANGLES, PARENTS, TIPS
 
 
 def test_sizes_are_those_of_the_thesis() -> None:

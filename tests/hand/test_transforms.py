@@ -68,9 +68,7 @@ def test_quaternions_multiply_as_their_matrices_do(seed: int, batch: tuple[int, 
 
 @settings(deadline=None, max_examples=40, derandomize=True)
 @given(seed=seeds, batch=batches, angle=st.sampled_from([0.0, 1e-12, 1e-6, 1e-3, 1.0, 3.14]))
-def test_logarithm_undoes_the_exponential(
-    seed: int, batch: tuple[int, ...], angle: float
-) -> None:
+def test_logarithm_undoes_the_exponential(seed: int, batch: tuple[int, ...], angle: float) -> None:
     rotvec = random_rotvecs(seed, batch)
     rotvec *= angle / np.maximum(np.linalg.norm(rotvec, axis=-1, keepdims=True), 1e-9)
     back = matrix_to_rotvec(rotvec_to_matrix(rotvec))

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 import warp as wp
 from numpy.typing import NDArray
-from oracles.device_arrays import poisoned, upload
-from oracles.scenes import rounded, seen_poses, shaped_hand
 
 from handtrack.fitting.device_hand import DeviceHand
 from handtrack.hand.kinematics import bone_frames, skin, skin_normals
@@ -18,6 +16,8 @@ from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NANGLE, NBONE
 from handtrack.kernels.kinematics import pose_bones
 from handtrack.kernels.skinning import skin_vertices
+from oracles.device_arrays import poisoned, upload
+from oracles.scenes import rounded, seen_poses, shaped_hand
 
 ROW_HAND = (1, 0, 1)
 """Hand of each row: rows and hands differ in number and order."""

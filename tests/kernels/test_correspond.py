@@ -10,12 +10,12 @@ import warp as wp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from oracles.correspondence import facing, match_points, pixels
-from oracles.device_arrays import GARBAGE, download, poisoned, upload
-from oracles.scenes import rounded
 
 from handtrack.kernels import correspond
 from handtrack.kernels.crop import CROP_SIZE
+from oracles.correspondence import facing, match_points, pixels
+from oracles.device_arrays import GARBAGE, download, poisoned, upload
+from oracles.scenes import rounded
 
 TIE = 1e-6
 """Distances closer than this are ties in float32 [m]."""
@@ -45,7 +45,7 @@ class Observation:
 
 
 def observe(posed, rng: np.random.Generator, *, noise: float, unknown: float = 0.1) -> Observation:
-    """Cells that see the facing vertices nearest to their rays, moved by noise; some see nothing."""
+    """Cells that see the facing vertices nearest to their rays, moved by noise, or nothing."""
     nhand = len(posed.hands)
     crops = np.stack([crop_of(0.45 + 0.01 * h) for h in range(nhand)])
     cells = np.zeros((nhand, SIZE, SIZE))

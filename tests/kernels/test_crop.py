@@ -10,11 +10,11 @@ import warp as wp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
+from handtrack.kernels.crop import CROP_SIZE, GATE_SIZE, crop_depth, estimate_normals, scan_columns
 from oracles.device_arrays import download, poisoned, upload
 from oracles.image import crop_cells, nearest_in_column, squared_distances, surface_normals
 from oracles.scenes import rounded
-
-from handtrack.kernels.crop import CROP_SIZE, GATE_SIZE, crop_depth, estimate_normals, scan_columns
 
 FLOAT32 = 1e-6
 """Float32 means of depths below a metre [m]."""
@@ -258,9 +258,7 @@ def test_normals_equal_the_oracle(device: str, reach: int, rng: np.random.Genera
     points[kind < 0.2] = 0.0
     normals = run_normals(device, cells, points, reach, SAME_SURFACE)
     for hand in range(2):
-        expected = surface_normals(
-            cells[hand], points[hand], reach=reach, max_step=SAME_SURFACE
-        )
+        expected = surface_normals(cells[hand], points[hand], reach=reach, max_step=SAME_SURFACE)
         np.testing.assert_allclose(normals[hand], expected, atol=2e-3)
         # No measurement, no normal.
         assert not normals[hand][kind[hand] < 0.2].any()

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from oracles.device_arrays import download, poisoned, upload
-from oracles.scenes import rounded
 
 from handtrack.hand.kinematics import bone_frames
 from handtrack.hand.skeleton import ANGLE_BONES, NANGLE, NBONE
 from handtrack.kernels.kinematics import pose_bones
 from handtrack.transforms import matrix_to_quat, rotvec_to_matrix
+from oracles.device_arrays import download, poisoned, upload
+from oracles.scenes import rounded
 
 FLOAT32 = 2e-6
 """Chains of four float32 rotations, lengths below a metre."""

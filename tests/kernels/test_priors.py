@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import warp as wp
 from numpy.typing import NDArray
-from oracles.device_arrays import download, poisoned, upload
-from oracles.energy import NV, Spheres, differences, gaussian, limits, smoothness
-from oracles.scenes import rounded
 
 from handtrack.fitting.spheres import CollisionSpheres
 from handtrack.hand.skeleton import ANGLE_BONES, NANGLE
 from handtrack.kernels import priors
 from handtrack.transforms import apply_increment
+from oracles.device_arrays import download, poisoned, upload
+from oracles.energy import NV, Spheres, differences, gaussian, limits, smoothness
+from oracles.scenes import rounded
 
 Float = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ import warp as wp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
+from handtrack.kernels.render import EMPTY, key_item_numpy, render_keys, unpack_depth
 from oracles.device_arrays import download, poisoned, upload
 from oracles.raycast import cast_rays
 from oracles.scenes import SMALL_CAMERA
-
-from handtrack.kernels.render import EMPTY, key_item_numpy, render_keys, unpack_depth
 
 Float = NDArray[np.float64]
 
@@ -22,6 +22,7 @@ DEPTH = 2e-6
 SUBPIXEL = 1e-3
 """How near to an outline rounding may decide whether a pixel is covered [pixels]."""
 
+FORWARD = np.array([0.0, 0.0, 1.0])
 INTRINSICS = np.array(
     [SMALL_CAMERA.fx, SMALL_CAMERA.fy, SMALL_CAMERA.cx, SMALL_CAMERA.cy, 0.0, 0.0]
 )
@@ -79,7 +80,9 @@ def test_hand_depth_equals_ray_casting(make_posed, device, rng, side) -> None:
         for shift in SUBPIXEL * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
             beside, _ = cast_rays(vertices[row], faces, pixel_rays(pixels + shift))
             same = np.isfinite(beside) == covered
-            near = np.abs(np.where(covered, expected, 0) - np.where(same & covered, beside, 0)) < 1e-4
+            near = (
+                np.abs(np.where(covered, expected, 0) - np.where(same & covered, beside, 0)) < 1e-4
+            )
             sure &= same & near
         assert sure.mean() > 0.95
         np.testing.assert_array_equal((found > 0)[sure], covered[sure])
@@ -128,7 +131,7 @@ def test_a_slanted_plane_has_its_depth_at_every_pixel_centre(device: str) -> Non
 
 def test_the_nearest_of_two_surfaces_is_kept_whatever_the_order(device: str) -> None:
     square = np.array([[-0.1, -0.1, 0.0], [0.1, -0.1, 0], [0.1, 0.1, 0], [-0.1, 0.1, 0]])
-    both = np.concatenate([square + [0, 0, 0.6], square + [0, 0, 0.5]])
+    both = np.concatenate([square + 0.6 * FORWARD, square + 0.5 * FORWARD])
     faces = np.array([[0, 2, 1], [0, 3, 2], [4, 6, 5], [4, 7, 6]])
     for order in (faces, faces[::-1]):
         depth, items = draw(device, both, order)
@@ -195,8 +198,8 @@ def test_triangles_that_come_too_near_are_dropped(device: str) -> None:
     triangle = np.array([[-0.1, -0.1, 0.5], [0.1, -0.1, 0.5], [0.0, 0.1, 0.015]])
     faces = np.array([[0, 2, 1]])
     assert not draw(device, triangle, faces)[0].any()
-    assert not draw(device, triangle + [0, 0, 0.1], faces, near=0.2)[0].any()
-    assert draw(device, triangle + [0, 0, 0.1], faces, near=0.05)[0].any()
+    assert not draw(device, triangle + 0.1 * FORWARD, faces, near=0.2)[0].any()
+    assert draw(device, triangle + 0.1 * FORWARD, faces, near=0.05)[0].any()
 
 
 def test_drawing_without_clearing_adds_to_the_picture(device: str) -> None:

@@ -9,6 +9,11 @@ import numpy as np
 import pytest
 import warp as wp
 from numpy.typing import NDArray
+
+from handtrack.hand.kinematics import skin
+from handtrack.kernels import residuals
+from handtrack.kernels.crop import CROP_SIZE, scan_columns
+from handtrack.kernels.residuals import vec11
 from oracles.correspondence import facing, pixels
 from oracles.device_arrays import GARBAGE, download, poisoned, upload
 from oracles.energy import (
@@ -21,16 +26,11 @@ from oracles.energy import (
 from oracles.image import squared_distances
 from oracles.scenes import rounded
 
-from handtrack.hand.kinematics import skin
-from handtrack.kernels import residuals
-from handtrack.kernels.crop import CROP_SIZE, scan_columns
-from handtrack.kernels.residuals import vec11
-
 FLOAT32 = 1e-5
 """Entries of unweighted rows are lengths below half a metre; float32 chains lose a few digits."""
 ROW_AND_RESIDUAL = 1e-4
 """As `FLOAT32`, with pixel coordinates behind the direction."""
-SIZE = 42
+SIZE = 48
 """One point per vertex and some over, so that every vertex is matched."""
 
 Float = NDArray[np.float64]
@@ -252,7 +252,9 @@ class ImageTerms:
     options: dict
 
 
-def run_image(posed, device: str, rng: np.random.Generator, *, aspect: float, **changed) -> ImageTerms:
+def run_image(
+    posed, device: str, rng: np.random.Generator, *, aspect: float, **changed
+) -> ImageTerms:
     """Rows where an image of blocks contradicts the posed hands."""
     options = {
         "reach": 9, "silhouette_weight": 3.0, "silhouette_scale": 0.03, "silhouette_margin": 1.0,
@@ -265,7 +267,9 @@ def run_image(posed, device: str, rng: np.random.Generator, *, aspect: float, **
     crops[:, 2:4] = (NCELL - 1) / 2 + rng.uniform(-2, 2, (nhand, 2))
     crops = rounded(crops)
     # Blocks of background and of surfaces around the hand's depth; the left third is empty.
-    blocks = np.where(rng.random((nhand, 12, 12)) < 0.35, 0.0, rng.uniform(0.38, 0.5, (nhand, 12, 12)))
+    blocks = np.where(
+        rng.random((nhand, 12, 12)) < 0.35, 0.0, rng.uniform(0.38, 0.5, (nhand, 12, 12))
+    )
     cells = np.kron(blocks, np.ones((4, 4)))
     cells[:, :, : NCELL // 3] = 0.0
     cells[:, 5, 10] = 0.4
@@ -384,9 +388,7 @@ def test_silhouette_rows_equal_central_differences(make_posed, device, rng, side
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_rows_of_vertices_in_front_equal_central_differences(
-    make_posed, device, rng, side
-) -> None:
+def test_rows_of_vertices_in_front_equal_central_differences(make_posed, device, rng, side) -> None:
     posed = make_posed(device, side=side, seed=27, bend=0.6, turn=0.3)
     terms = run_image(posed, device, rng, aspect=1.0)
     weight, scale = terms.options["front_weight"], terms.options["front_scale"]
@@ -407,7 +409,10 @@ def test_rows_of_vertices_in_front_equal_central_differences(
         np.testing.assert_allclose(found, expected, atol=weight * FLOAT32)
         np.testing.assert_allclose(terms.residuals[row, front], root * residual, atol=FLOAT32)
         np.testing.assert_allclose(
-            terms.costs[row, front], weight * geman_mcclure(residual**2, scale), rtol=1e-3, atol=1e-8
+            terms.costs[row, front],
+            weight * geman_mcclure(residual**2, scale),
+            rtol=1e-3,
+            atol=1e-8,
         )
         checked += len(front)
     assert checked > 200

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import warp as wp
 from numpy.typing import NDArray
-from oracles.depth_score import depth_error
-from oracles.device_arrays import download, poisoned, upload
-from oracles.scenes import rounded
 
 from handtrack.kernels.render import EMPTY
 from handtrack.kernels.score import pick_rows, score_depth
+from oracles.depth_score import depth_error
+from oracles.device_arrays import download, poisoned, upload
+from oracles.scenes import rounded
 
 Float = NDArray[np.float64]
 

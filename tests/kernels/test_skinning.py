@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from oracles.device_arrays import download
 
 FLOAT32 = 2e-6

@@ -7,9 +7,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from oracles.device_arrays import download, poisoned, upload
-from oracles.energy import NV, dense_rows
-from oracles.scenes import rounded
 
 from handtrack.hand import skeleton
 from handtrack.hand.skeleton import finger_of_bone
@@ -22,6 +19,9 @@ from handtrack.transforms import (
     quat_to_matrix,
     rotvec_to_matrix,
 )
+from oracles.device_arrays import download, poisoned, upload
+from oracles.energy import NV, dense_rows
+from oracles.scenes import rounded
 
 Float = NDArray[np.float64]
 
@@ -128,9 +128,7 @@ def damped_step(hessian: Float, gradient: Float, damping: float, floors: Float) 
 
 def assert_same_pose(found: Float, expected: Float, atol: float) -> None:
     """Compare poses; a quaternion and its negative are the same rotation."""
-    np.testing.assert_allclose(
-        quat_to_matrix(found[3:7]), quat_to_matrix(expected[3:7]), atol=atol
-    )
+    np.testing.assert_allclose(quat_to_matrix(found[3:7]), quat_to_matrix(expected[3:7]), atol=atol)
     np.testing.assert_allclose(
         np.delete(found, range(3, 7)), np.delete(expected, range(3, 7)), atol=atol
     )
@@ -180,9 +178,7 @@ def test_a_long_step_is_shortened_as_a_whole(device: str, rng) -> None:
     hessian = np.tile(np.eye(NV), (nrow, 1, 1))
     gradient = rounded(rng.standard_normal((nrow, NV)) * 10 ** rng.uniform(-3, 4, (nrow, 1)))
     start = poses_of(rng, nrow)
-    step, pose = run_solve(
-        device, hessian, gradient, np.zeros(nrow), np.zeros(NV), start, **limits
-    )
+    step, pose = run_solve(device, hessian, gradient, np.zeros(nrow), np.zeros(NV), start, **limits)
     shortened = 0
     for row in range(nrow):
         factor = min(1.0, (bound / np.abs(gradient[row])).min())

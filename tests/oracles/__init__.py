@@ -1,1 +1,1 @@
-"""Independent float64 NumPy oracles, written from the equations and docstrings, not from the kernels."""
+"""Independent float64 NumPy oracles, written from equations and docstrings, not from kernels."""

@@ -1,4 +1,4 @@
-"""Nearest facing model point of every observed point (thesis II.5.2.1, Eq. II.22), by brute force."""
+"""Nearest facing model point of every observed point (thesis Eq. II.22), by brute force."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def pixels(vertices: Float, crop: Float) -> Float:
 
 
 def facing(vertices: Float, normals: Float) -> NDArray[np.bool_]:
-    """Which vertices face the camera: the angle between normal and line of sight is over 90 degrees."""
+    """Which vertices face the camera: normal and line of sight are over 90 degrees apart."""
     return ((vertices * normals).sum(1) < 0) & (vertices[:, 2] >= 0.02)
 
 
@@ -77,9 +77,7 @@ def match_points(
             anywhere = int(np.where(near, distance, np.inf).argmin()) if near.any() else -1
             in_window = anywhere >= 0 and bool(inside[anywhere])
             if not inside.any():
-                answers.append(
-                    Match(kind="far", nearest_anywhere=anywhere, in_window=in_window)
-                )
+                answers.append(Match(kind="far", nearest_anywhere=anywhere, in_window=in_window))
                 continue
             best = int(np.where(inside, distance, np.inf).argmin())
             answers.append(

@@ -1,4 +1,4 @@
-"""Depth error E_d (thesis Eq. II.19): mean depth difference over the union of both hands' pixels."""
+"""Depth error E_d (thesis Eq. II.19): mean depth difference over the union of both hands."""
 
 from __future__ import annotations
 

@@ -25,7 +25,10 @@ def differences(function: Callable[[Float], Float], pose: Float, step: float = S
     for unknown in range(NV):
         move = np.zeros(NV)
         move[unknown] = step
-        ahead, behind = function(apply_increment(pose, move)), function(apply_increment(pose, -move))
+        ahead, behind = (
+            function(apply_increment(pose, move)),
+            function(apply_increment(pose, -move)),
+        )
         columns.append((ahead - behind) / (2 * step))
     return np.stack(columns, -1)
 

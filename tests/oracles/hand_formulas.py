@@ -1,4 +1,4 @@
-"""The parametric hand by its equations (thesis II.1 to II.9), one vertex and one 4x4 matrix at a time."""
+"""The parametric hand by its equations (thesis II.1 to II.9), one vertex, one matrix at a time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the crop kernels say they do, cell by cell: the crop, its distance transform, its normals."""
+"""What the crop kernels say they do, cell by cell: crop, distance transform, normals."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ Float = NDArray[np.float64]
 class Boxes:
     """Bounding boxes of triangles with the two members of an R-tree that trimesh asks for.
 
-    trimesh's own tree needs the package rtree, which nothing else here does; a linear search will do.
+    trimesh's own tree needs the package rtree, which nothing else here does; linear search will do.
     """
 
     def __init__(self, triangles: Float) -> None:

@@ -66,7 +66,7 @@ def seen_poses(
     poses = np.zeros((count, 28))
     facing = PALM_TO_CAMERA
     if hand.side == "left":
-        # The mirror image of the right hand's view, which turns the camera's x and the palm's z over.
+        # The mirror image of the right hand's view turns the camera's x and the palm's z over.
         facing = np.diag([-1.0, 1.0, 1.0]) @ PALM_TO_CAMERA @ np.diag([1.0, 1.0, -1.0])
     turns = rotvec_to_matrix(turn * rng.standard_normal((count, 3)))
     poses[:, 3:7] = matrix_to_quat(turns @ facing)
@@ -79,7 +79,7 @@ def seen_poses(
 
 
 def hand_centre(hand: ShapedHand, poses: Float) -> Float:
-    """Where a tracker would lay the crop: the mean of palm and finger keypoints [m], shape (n, 3)."""
+    """Where a tracker would lay the crop: the mean of the keypoints [m], shape (n, 3)."""
     return keypoints(hand, poses).mean(-2)
 
 

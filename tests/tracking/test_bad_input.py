@@ -30,7 +30,9 @@ FOUND = (TrackState.TRACKING, TrackState.RECOVERED)
 def frames(side: str = "right") -> list[DepthFrame]:
     """Some frames of a moving hand with its forearm, as a noisy sensor sees them."""
     motion = Motion.load("recorded_hand_motion").take(817, 829)
-    return list(synthesize_sequence(motion, shaped_hand(side), CAMERA, TIME_OF_FLIGHT, device="cpu"))
+    return list(
+        synthesize_sequence(motion, shaped_hand(side), CAMERA, TIME_OF_FLIGHT, device="cpu")
+    )
 
 
 @cache

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from handtrack.hand.shape import HandShape
     from handtrack.synthesis.motion import Motion
 
-DEPTH_UNIT = 0.0005
-"""Step of the depth that is written [m]."""
+CLEAN_UNIT = 0.0001
+"""Step of the depth that is written where the noise model does not round it itself [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,22 +86,24 @@ def run(options: SynthOptions) -> int:
     _check_target(options.out)
     motion = Motion.load(options.motion)
     start, stop = parse_frames(options.frames)
-    motion = motion.take(start, stop, options.stride)
+    motion = motion.take(start, stop)
+    count = len(motion.take(stride=options.stride))
     camera = find_camera(options.camera)
     model = HandModel.load()
     shape = find_subject(options.subject, model)
     hand = model.shaped(shape, side=options.side)
     device = compute_device(options.device)
     frames = synthesize_sequence(
-        motion, hand, camera, noise_preset(options.noise), seed=options.seed,
-        forearm=not options.bare, device=device.alias,
+        motion, hand, camera, noise_preset(options.noise), stride=options.stride,
+        seed=options.seed, forearm=not options.bare,
+        device=device.alias,
     )  # fmt: skip
-    frames = progress(frames, len(motion), "rendering")
+    frames = progress(frames, count, "rendering")
     write = _write_npz if options.out.suffix == ".npz" else _write_folder
     write(options, frames, motion, camera, shape)
-    away = int(frames_out_of_view(motion, hand, camera).sum())
+    away = int(frames_out_of_view(motion, hand, camera)[:: options.stride].sum())
     Console(stderr=True, soft_wrap=True, highlight=False).print(
-        f"{options.out}: {len(motion)} frames of {camera.width}x{camera.height}"
+        f"{options.out}: {count} frames of {camera.width}x{camera.height}"
         + (f"; in {away} of them a part of the hand is out of view" if away else "")
     )
     return 0
@@ -185,6 +187,19 @@ def _source(options: SynthOptions, motion: Motion) -> str:
     )
 
 
+def _unit(options: SynthOptions) -> float:
+    """Step of the stored depth [m]: the sensor's own."""
+    from handtrack.synthesis.noise import noise_preset
+
+    return noise_preset(options.noise).depth_step or CLEAN_UNIT
+
+
+def _rate(options: SynthOptions, motion: Motion) -> float | None:
+    """Frame rate of the sequence [1/s], None where the motion's is not known."""
+    rate = motion.frames_per_second
+    return None if rate is None else rate / options.stride
+
+
 def _write_npz(
     options: SynthOptions,
     frames: Iterator[DepthFrame],
@@ -198,10 +213,10 @@ def _write_npz(
     # The lists of labels fill while the depth is read, which comes first.
     kept = _Labels()
     write_npz_sequence(
-        options.out, kept.depths(frames), camera, depth_unit=DEPTH_UNIT,
+        options.out, kept.depths(frames), camera, depth_unit=_unit(options),
         source=_source(options, motion), licence=motion.licence, side=options.side,
         shape_alpha=shape.alpha, shape_beta=shape.beta, scale=shape.scale,
-        frames_per_second=motion.frames_per_second,
+        frames_per_second=_rate(options, motion),
         time=kept.times, truth_pose=kept.poses, truth_keypoints=kept.keypoints,
     )  # fmt: skip
 
@@ -240,13 +255,14 @@ def _write_folder(
     try:
         kept = _Labels()
         for number, depth in enumerate(kept.depths(frames)):
-            steps = np.clip(np.rint(np.asarray(depth) / DEPTH_UNIT), 0, 65535).astype(np.uint16)
+            steps = np.rint(np.asarray(depth, np.float64) / _unit(options))
+            steps = np.clip(steps, 0, 65535).astype(np.uint16)
             written, data = cv2.imencode(".png", steps)
             assert written, "OpenCV always has PNG"
             (part / f"{number:06d}.png").write_bytes(data.tobytes())
         facts = {
-            **camera.to_dict(), "depth_unit_m": DEPTH_UNIT, "hand": options.side,
-            "times_s": kept.times, "frames_per_second": motion.frames_per_second,
+            **camera.to_dict(), "depth_unit_m": _unit(options), "hand": options.side,
+            "times_s": kept.times, "frames_per_second": _rate(options, motion),
             "source": _source(options, motion), "licence": motion.licence,
         }  # fmt: skip
         (part / "camera.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")

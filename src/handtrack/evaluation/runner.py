@@ -118,7 +118,8 @@ def run_tracker(
     points = np.full((len(frames), NKEYPOINT, 3), np.nan)
     depth_errors = np.full(len(frames), np.nan)
     latencies = np.zeros(len(frames))
-    states, stages = [], []
+    numbers, states, stages = [], [], []
+    truth = np.full_like(points, np.nan)
     for place, frame in enumerate(progress(frames, len(frames), text)):
         if place in starts:
             tracker.reset(starts[place])
@@ -127,13 +128,15 @@ def run_tracker(
         latencies[place] = 1e3 * (perf_counter() - begin)
         poses[place], depth_errors[place] = result.pose, result.depth_error
         points[place] = result.keypoints
+        truth[place] = true_keypoints(frame)
+        numbers.append(frame.index)
         states.append(result.state)
         stages.append({k: ms for k, ms in result.timings.items() if k != TOTAL_STAGE})
     return Run(
-        frames=np.array([frame.index for frame in frames]),
+        frames=np.array(numbers),
         poses=poses,
         keypoints=points,
-        truth=np.stack([true_keypoints(frame) for frame in frames]),
+        truth=truth,
         depth_errors=depth_errors,
         states=tuple(states),
         latencies_ms=latencies,

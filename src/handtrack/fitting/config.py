@@ -72,7 +72,7 @@ class FitConfig:
     """Geman-McClure scale of that distance [m]."""
     front_margin: float = 0.015
     """Distance in front of the surface that costs nothing [m]."""
-    collision_weight: float = 0.0
+    collision_weight: float = 2.0
     """Weight of overlaps between fingers [1/cm^2]; 0 switches the term off."""
     prior_weight: float = 0.0
     """Weight of the Gaussian prior on joint angles, 1 = its own covariance; 0 switches it off."""
@@ -127,6 +127,7 @@ THESIS = FitConfig(
     min_cosine=-1.0,
     silhouette_weight=0.0,
     front_weight=0.0,
+    collision_weight=0.0,
     damping=0.0,
     translation_floor=1e-6,
     angle_floor=1e-6,

@@ -225,7 +225,7 @@ class Fitter:
             bin_size=config.bin_cells, nbin=nbin, heads=rows.heads, following=rows.following,
         )  # fmt: skip
         correspond.match_points(
-            rows.row_hand, image.cells, image.points, image.point_normals,
+            rows.row_hand, image.crops, image.cells, image.points, image.point_normals,
             rows.vertices, rows.normals, rows.heads, rows.following, rows.rotations, rows.origins,
             stride=config.point_stride, bin_size=config.bin_cells, nbin=nbin,
             window=config.search_window, max_distance=config.max_distance,

@@ -11,6 +11,10 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 
+RAY_COSINE = wp.constant(0.8)
+"""Least cosine between a ray and the optical axis for which the search may stop early: views up to 74 degrees."""
+
+
 @wp.kernel
 def _clear_bins(
     # out
@@ -52,6 +56,7 @@ def _bin_vertices(
 def _match_points(
     # in
     row_hand_in: wp.array[int],
+    crops_in: wp.array2d[float],
     cells_in: wp.array3d[float],
     points_in: wp.array3d[wp.vec3],
     point_normals_in: wp.array3d[wp.vec3],
@@ -90,19 +95,36 @@ def _match_points(
     known = wp.length_sq(observed) > 0.0
     bx = column // bin_size
     by = row // bin_size
+    # Cells from the point to the nearest edge of its own bin: a ring k bins out is that much farther.
+    edge = wp.min(
+        wp.min(column - bx * bin_size, bx * bin_size + bin_size - 1 - column),
+        wp.min(row - by * bin_size, by * bin_size + bin_size - 1 - row),
+    )
+    cell = RAY_COSINE * z / crops_in[hand, 0]
     best = max_distance * max_distance
     match = int(-1)
-    for j in range(wp.max(by - window, 0), wp.min(by + window, nbin - 1) + 1):
-        for i in range(wp.max(bx - window, 0), wp.min(bx + window, nbin - 1) + 1):
-            vertid = heads_in[rowid, j * nbin + i]
-            while vertid >= 0:
-                d = wp.length_sq(vertices_in[rowid, vertid] - p)
-                # Ties go to the lower vertex, so that list order (a race on a GPU) cannot matter.
-                if d < best or (d == best and vertid < match):
-                    if not known or wp.dot(observed, normals_in[rowid, vertid]) > min_cosine:
-                        best = d
-                        match = vertid
-                vertid = next_in[rowid, vertid]
+    for ring in range(window + 1):
+        # Vertices of farther rings lie on rays that pass the point at a distance.
+        apart = cell * (float((ring - 1) * bin_size + edge) + 0.5)
+        if ring > 0 and apart * apart > best:
+            break
+        for j in range(wp.max(by - ring, 0), wp.min(by + ring, nbin - 1) + 1):
+            # Inside the ring's rows only its two outer columns are new.
+            step = wp.where(j == by - ring or j == by + ring, 1, wp.max(2 * ring, 1))
+            i = bx - ring
+            while i <= bx + ring:
+                if i >= 0 and i < nbin:
+                    vertid = heads_in[rowid, j * nbin + i]
+                    while vertid >= 0:
+                        d = wp.length_sq(vertices_in[rowid, vertid] - p)
+                        # Ties go to the lower vertex, so that list order (a race on a GPU) cannot
+                        # matter.
+                        if d < best or (d == best and vertid < match):
+                            if not known or wp.dot(observed, normals_in[rowid, vertid]) > min_cosine:
+                                best = d
+                                match = vertid
+                        vertid = next_in[rowid, vertid]
+                i += step
     matches_out[rowid, slot] = match
 
 
@@ -141,6 +163,7 @@ def bin_vertices(
 
 def match_points(
     row_hand: wp.array,
+    crops: wp.array,
     cells: wp.array,
     points: wp.array,
     point_normals: wp.array,
@@ -164,6 +187,7 @@ def match_points(
 
     Args:
         row_hand: Hand of each row, shape (nrow,).
+        crops: Crop parameters, shape (nhand, CROP_SIZE).
         cells: Depth cells, shape (nhand, n, n).
         points: Observed points [m], shape (nhand, n, n) vec3.
         point_normals: Observed normals or zero, shape (nhand, n, n) vec3.
@@ -186,7 +210,7 @@ def match_points(
         _match_points,
         dim=matches.shape,
         inputs=[
-            row_hand, cells, points, point_normals, vertices, normals, heads, following,
+            row_hand, crops, cells, points, point_normals, vertices, normals, heads, following,
             rotations, origins, stride, bin_size, nbin, window, max_distance, min_cosine, wrist_x,
         ],
         outputs=[matches],

@@ -18,29 +18,6 @@ LANES = 64
 """Threads per block of the tiled kernels, which run on CUDA only."""
 
 
-@wp.func
-def _chain_sums(
-    rows_in: wp.array2d[vec11],
-    residuals_in: wp.array2d[float],
-    chains_in: wp.array2d[int],
-    rowid: int,
-    chain: int,
-    first: int,
-    step: int,
-):
-    # J^T J and J^T r over every step-th residual of one finger.
-    hessian = mat11()
-    gradient = vec11()
-    slot = first
-    while slot < rows_in.shape[1]:
-        if chains_in[rowid, slot] == chain:
-            row = rows_in[rowid, slot]
-            hessian += wp.outer(row, row)
-            gradient += residuals_in[rowid, slot] * row
-        slot += step
-    return hessian, gradient
-
-
 @wp.kernel
 def _accumulate_chains(
     # in
@@ -51,11 +28,19 @@ def _accumulate_chains(
     hessians_out: wp.array2d[mat11],
     gradients_out: wp.array2d[vec11],
 ):
-    """One finger of one row: J^T J and J^T r over its residuals."""
-    rowid, chain = wp.tid()
-    hessian, gradient = _chain_sums(rows_in, residuals_in, chains_in, rowid, chain, 0, 1)
-    hessians_out[rowid, chain] = hessian
-    gradients_out[rowid, chain] = gradient
+    """One row: J^T J and J^T r of its five fingers in one pass over the residuals."""
+    rowid = wp.tid()
+    for chain in range(hessians_out.shape[1]):
+        hessians_out[rowid, chain] = mat11()
+        gradients_out[rowid, chain] = vec11()
+    for slot in range(rows_in.shape[1]):
+        chain = chains_in[rowid, slot]
+        if chain >= 0:
+            row = rows_in[rowid, slot]
+            hessians_out[rowid, chain] = hessians_out[rowid, chain] + wp.outer(row, row)
+            gradients_out[rowid, chain] = (
+                gradients_out[rowid, chain] + residuals_in[rowid, slot] * row
+            )
 
 
 @wp.kernel
@@ -68,11 +53,17 @@ def _accumulate_chains_tiled(
     hessians_out: wp.array2d[mat11],
     gradients_out: wp.array2d[vec11],
 ):
-    """One finger of one row, a block of threads each, lanes summed in a fixed order."""
+    """One finger of one row, a block of threads each: J^T J and J^T r, lanes summed in a fixed order."""
     rowid, chain, lane = wp.tid()
-    hessian, gradient = _chain_sums(
-        rows_in, residuals_in, chains_in, rowid, chain, lane, wp.block_dim()
-    )
+    hessian = mat11()
+    gradient = vec11()
+    slot = lane
+    while slot < rows_in.shape[1]:
+        if chains_in[rowid, slot] == chain:
+            row = rows_in[rowid, slot]
+            hessian += wp.outer(row, row)
+            gradient += residuals_in[rowid, slot] * row
+        slot += wp.block_dim()
     hessian_sum = wp.tile_sum(wp.tile(hessian, preserve_type=True))
     gradient_sum = wp.tile_sum(wp.tile(gradient, preserve_type=True))
     if lane == 0:
@@ -336,7 +327,7 @@ def accumulate_normal_equations(
     else:
         wp.launch(
             _accumulate_chains,
-            dim=chain_hessians.shape,
+            dim=chain_hessians.shape[0],
             inputs=[rows, residuals, chains],
             outputs=[chain_hessians, chain_gradients],
             device=rows.device,

@@ -117,5 +117,3 @@ def _stub_faces(hand: ShapedHand) -> NDArray[np.bool_]:
     """Triangles of the model's own forearm stub."""
     palm_x = np.where(hand.weight_bones == 0, hand.local_vertices[..., 0], np.inf).min(axis=1)
     return (palm_x[hand.faces] < 0.0).all(axis=1)
-
-

@@ -100,9 +100,7 @@ def _frames(
             )
 
 
-def worn_by(
-    motion: Motion, hand: ShapedHand
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def worn_by(motion: Motion, hand: ShapedHand) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Poses, shape (n, 28), and elbows [m], shape (n, 3), of a motion for one hand.
 
     A left hand gets the mirrored motion. Where no elbow was recorded the forearm goes on straight.

@@ -120,7 +120,9 @@ class OverlayPainter:
         width, height = self.style.panel
         return width * (2 if self.style.side_by_side else 1), height
 
-    def paint_result(self, depth: ArrayLike, result: HandResult, *, index: int | None = None) -> Image:
+    def paint_result(
+        self, depth: ArrayLike, result: HandResult, *, index: int | None = None
+    ) -> Image:
         """Picture of one tracked frame, with its state, number and depth error.
 
         Args:

@@ -33,7 +33,9 @@ class ShadedMesh:
     """The vertices' opacity, 0 to 1, shape (height, width); 0 where the mesh is not."""
 
 
-def finger_tints(hand: ShapedHand, skin: Colour, fingers: tuple[Colour, ...], share: float) -> Float:
+def finger_tints(
+    hand: ShapedHand, skin: Colour, fingers: tuple[Colour, ...], share: float
+) -> Float:
     """Colour of every vertex, shape (nvert, 3): the skin's, tinted by the finger it moves with."""
     owner = np.array([finger_of_bone(bone) for bone in range(NBONE)])
     belongs = np.zeros((hand.nvert, len(FINGERS)))

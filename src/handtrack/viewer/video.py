@@ -32,9 +32,7 @@ class VideoWriter:
     The file appears under its name when the block ends without an error, complete or not at all.
     """
 
-    def __init__(
-        self, path: str | os.PathLike[str], *, frames_per_second: float = 30.0
-    ) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, frames_per_second: float = 30.0) -> None:
         """Choose the format by the ending of the file.
 
         Args:
@@ -61,9 +59,7 @@ class VideoWriter:
         self._size: tuple[int, int] | None = None
         self._writer: cv2.VideoWriter | None = None
         self._unfinished: Path | None = None
-        self._pictures: list[Image] | None = (
-            [] if self.path.suffix.lower() in ANIMATIONS else None
-        )
+        self._pictures: list[Image] | None = [] if self.path.suffix.lower() in ANIMATIONS else None
 
     def write(self, picture: Image) -> None:
         """Append a picture, shape (height, width, 3), uint8, channels B G R, all of one size.
@@ -86,8 +82,7 @@ class VideoWriter:
                 self._open(size)
         elif size != self._size:
             raise InputError(
-                f"picture is {size[0]}x{size[1]}: the first one was "
-                f"{self._size[0]}x{self._size[1]}"
+                f"picture is {size[0]}x{size[1]}: the first one was {self._size[0]}x{self._size[1]}"
             )
         if self._pictures is not None:
             self._pictures.append(picture.copy())

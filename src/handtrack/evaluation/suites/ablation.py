@@ -83,6 +83,8 @@ def variants(
 def changed(config: ModelBasedConfig, changes: Mapping[str, Any]) -> ModelBasedConfig:
     """A configuration with some fields changed; those of the fit are named "fit.FIELD".
 
+    A value that is text names another field, whose value is taken.
+
     Raises:
         InputError: There is no such field, or its value is out of range.
     """
@@ -92,6 +94,15 @@ def changed(config: ModelBasedConfig, changes: Mapping[str, Any]) -> ModelBasedC
     for key in changes:
         if key not in known:
             raise InputError(f"an ablation changes {key!r}: expected one of {', '.join(sorted(known))}")
-    inner = {key.removeprefix(FIT): value for key, value in changes.items() if key.startswith(FIT)}
-    outer = {key: value for key, value in changes.items() if not key.startswith(FIT)}
+    values = {key: _value(config, value) for key, value in changes.items()}
+    inner = {key.removeprefix(FIT): value for key, value in values.items() if key.startswith(FIT)}
+    outer = {key: value for key, value in values.items() if not key.startswith(FIT)}
     return replace(config, fit=replace(config.fit, **inner), **outer)
+
+
+def _value(config: ModelBasedConfig, value: Any) -> Any:
+    """A number, or the field that it names."""
+    if not isinstance(value, str):
+        return value
+    inner = value.startswith(FIT)
+    return getattr(config.fit if inner else config, value.removeprefix(FIT))

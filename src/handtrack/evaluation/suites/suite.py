@@ -38,8 +38,8 @@ class RecordedFrames:
 
     name: str
     """Name of the sequence."""
-    frames: list[DepthFrame]
-    """Its frames, with whatever truth they carry."""
+    frames: Sequence[DepthFrame]
+    """Its frames, with whatever truth they carry; they may be read only when asked for."""
     starts: Mapping[int, NDArray[np.float64]]
     """Place among the frames -> pose given there, shape (28,)."""
     side: str

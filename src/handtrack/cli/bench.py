@@ -1,0 +1,277 @@
+"""`handtrack bench`: accuracy and speed, measured together in one run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+import tyro
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from collections.abc import Sequence as Frames
+
+    from rich.console import Console
+
+    from handtrack.camera.frame import DepthFrame
+    from handtrack.camera.sequence import Sequence
+    from handtrack.evaluation.suites.suite import RecordedFrames, SuiteResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchOptions:
+    """Measure accuracy and speed together: one table, and a file with every number.
+
+    SUITE is one of selftest (two fists, self-occlusion, no noise), tracking (recorded motion with
+    forearm and noise, three subjects), speed (time per frame and stage by number of hypotheses),
+    ablation (every switch changed), real (labelled real images, --data); --sequence measures any
+    recorded sequence.
+
+    Examples::
+
+        handtrack bench selftest --json selftest.json
+        handtrack bench tracking --tracker model_based --tracker thesis --curves curves/
+        handtrack bench real --data recordings/ --pictures pictures/
+        handtrack bench --sequence data/demo.npz --tracker model_based --tracker thesis
+    """
+
+    suite: Annotated[
+        Literal["selftest", "tracking", "speed", "ablation", "real", "sequence"] | None,
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SUITE"),
+    ] = None
+    """What to measure; may be left out with --sequence."""
+    tracker: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Tracker to measure; repeat the option to compare several. The suite's own when not given."""
+    sequence: str | None = None
+    """Recorded sequence to track: file or folder."""
+    start: str = "truth"
+    """First pose of --sequence: truth (its labels), or a .json or .npz file with 28 numbers."""
+    side: Literal["right", "left"] | None = None
+    """Hand of --sequence; without it what the sequence says, else right."""
+    shape: Literal["given", "mean"] = "given"
+    """Give trackers the subject's shape, or let them make do with the mean hand."""
+    data: Path | None = None
+    """Folder with the recordings of others, for the suite real."""
+    json: Path | None = None
+    """Write every number to this file."""
+    format: Literal["human", "short", "json"] = "human"
+    """What is printed: tables, one line per case, or what --json would write."""
+    curves: Path | None = None
+    """Folder for pictures of error curves; made when it does not exist."""
+    pictures: Path | None = None
+    """Folder for overlay pictures of the suites real and sequence; made when it does not exist."""
+    quick: bool = False
+    """Run a small part only, to see that everything works; its numbers mean little."""
+    cold: bool = False
+    """Suite speed: time the start with all kernels to compile too, which takes minutes."""
+    device: str = "auto"
+    """auto, cpu or cuda:0."""
+    seed: int = 0
+    """Seed of the sensor noise and of the trackers."""
+
+
+def run(options: BenchOptions) -> int:
+    """Measure, print, write what was asked for.
+
+    Args:
+        options: The command's options.
+
+    Returns:
+        Exit code 0, whether or not the suite's targets are met.
+
+    Raises:
+        HandtrackError: An option or a file is unusable.
+    """
+    # Imported here: `handtrack --help` need not wait for Warp.
+    from handtrack.cli import compute_device
+    from handtrack.cli.progress import progress
+    from handtrack.errors import InputError
+    from handtrack.evaluation.report import bench_document
+    from handtrack.evaluation.suites.suite import SuiteSettings, run_suite
+
+    suite = options.suite or ("sequence" if options.sequence is not None else None)
+    if suite is None:
+        raise InputError("name a suite (handtrack bench --help lists them) or a --sequence PATH")
+    if (options.sequence is None) == (suite == "sequence"):
+        raise InputError("--sequence PATH goes with the suite sequence, and only with it")
+    if options.json is not None and not options.json.resolve().parent.is_dir():
+        raise InputError(f"{options.json.resolve().parent} is no folder: create it first")
+    device = compute_device(options.device)
+    settings = SuiteSettings(
+        trackers=options.tracker, device=device.alias, seed=options.seed, quick=options.quick,
+        shape=options.shape, data=options.data, cold=options.cold, progress=progress,
+    )  # fmt: skip
+    if options.sequence is None:
+        result = run_suite(suite, settings)
+    else:
+        from handtrack.camera.source import open_sequence
+
+        with open_sequence(options.sequence) as sequence:
+            result = run_suite(suite, replace(settings, sequence=_recorded(sequence, options)))
+    document = bench_document(
+        result.suite, f"{device.alias} ({device.name})", result.cases,
+        command=_command(options), quick=options.quick,
+        targets=[target.to_dict() for target in result.targets], notes=result.notes,
+        **result.more,
+    )  # fmt: skip
+    if options.json is not None:
+        options.json.write_text(_json(document), encoding="utf-8")
+    _print(options, result, document)
+    if options.curves is not None:
+        _draw_curves(options.curves, result)
+    if options.pictures is not None:
+        _draw_overlays(options.pictures, result)
+    return 0
+
+
+def _recorded(sequence: Sequence, options: BenchOptions) -> RecordedFrames:
+    """What trackers are told about an open sequence."""
+    from handtrack.camera.sequence import RecordedSequence
+    from handtrack.cli.first_pose import first_labelled, labelled_pose, read_pose
+    from handtrack.cli.track import choose_shape
+    from handtrack.errors import InputError
+    from handtrack.evaluation.suites.suite import RecordedFrames
+    from handtrack.hand.model import HandModel
+
+    if not isinstance(sequence, RecordedSequence) or not len(sequence):
+        raise InputError(f"{options.sequence} is no recording with frames: expected a file or folder")
+    model = HandModel.load()
+    labelled = first_labelled(sequence)
+    side = options.side or (sequence.subject.side if sequence.subject else None) or "right"
+    wanted = "mean" if options.shape == "mean" else None
+    shape, origin = choose_shape(wanted, sequence, labelled, model, side)
+    if options.start != "truth":
+        starts, told = {0: read_pose(Path(options.start))}, options.start
+    elif labelled is not None and labelled.truth is not None:
+        hand = model.shaped(shape, side=side)
+        starts = {labelled.index: labelled_pose(labelled.truth, hand, model)}
+        told = f"labels of frame {labelled.index}"
+    else:
+        raise InputError(
+            f"{options.sequence} has no labels that tell the first pose: give it with --start "
+            "POSE.json (28 numbers) or --start results.npz"
+        )
+    return RecordedFrames(
+        # A recording has a length and numbered frames, all that a run asks of it.
+        name=sequence.name, frames=cast("Frames[DepthFrame]", sequence), starts=starts, side=side,
+        shape=shape, notes=(f"{side} hand; shape: {origin}; first pose: {told}",),
+    )  # fmt: skip
+
+
+def _print(options: BenchOptions, result: SuiteResult, document: dict[str, Any]) -> None:
+    """Print the result in the format asked for."""
+    from rich.console import Console
+
+    if options.format == "json":
+        print(_json(document), end="")
+        return
+    if options.format == "short":
+        print("\n".join(_lines(result)))
+        return
+    # Tables are as wide as they need to be where nobody's terminal folds them.
+    console = Console(highlight=False, width=None if Console().is_terminal else 200)
+    _print_tables(console, result)
+    versions = document["versions"]
+    console.print(
+        f"{document['device']}, {versions['cpu']}; handtrack {versions['handtrack']}"
+        f"{' ' + versions['commit'] if 'commit' in versions else ''}, warp {versions['warp']}",
+        soft_wrap=True,
+    )
+
+
+def _print_tables(console: Console, result: SuiteResult) -> None:
+    """Accuracy and speed, stages, targets, notes."""
+    from handtrack.evaluation.report import bench_rows, stage_rows, terminal_table
+
+    console.print(terminal_table(f"suite {result.suite}", *bench_rows(result.cases)))
+    several = len({case["tracker"] for case in result.cases}) > 1
+    headers, rows = stage_rows(
+        [case | {"case": f"{case['case']}, {case['tracker']}"} for case in result.cases]
+        if several
+        else result.cases
+    )
+    if rows:
+        console.print(terminal_table("median time per stage", headers, rows))
+    if result.targets:
+        goals = [
+            [
+                "PASS" if target.passed else "MISS", target.case, target.tracker, target.value,
+                f"{'at most' if target.at_most else 'at least'} {target.bound:g}",
+                f"{target.reached:.4g}",
+            ]
+            for target in result.targets
+        ]  # fmt: skip
+        headers = ["", "case", "tracker", "number", "target", "reached"]
+        console.print(terminal_table("targets", headers, goals))
+    for note in result.notes:
+        console.print(note, soft_wrap=True)
+
+
+def _lines(result: SuiteResult) -> Iterable[str]:
+    """One line per case, for scripts and logs."""
+    from handtrack.evaluation.report import bench_rows
+
+    headers, rows = bench_rows(result.cases)
+    for row in rows:
+        cells = zip(headers[2:], row[2:], strict=True)
+        yield f"{row[0]} {row[1]}: " + ", ".join(f"{name} {cell}" for name, cell in cells)
+    for target in result.targets:
+        word = "PASS" if target.passed else "MISS"
+        bound = f"{'<=' if target.at_most else '>='} {target.bound:g}"
+        yield f"{word} {target.case} {target.value} {target.reached:.4g} {bound}"
+
+
+def _draw_curves(folder: Path, result: SuiteResult) -> None:
+    """Write the share of frames over the distance, and the error over the frames."""
+    from handtrack.evaluation.curves import (
+        draw_errors_over_time,
+        draw_success_curves,
+        write_picture,
+    )
+
+    folder.mkdir(parents=True, exist_ok=True)
+    if not result.errors_mm:
+        return
+    title = f"{result.suite}: frames whose worst joint is within a distance"
+    picture = draw_success_curves(result.errors_mm, title=title)
+    write_picture(folder / f"{result.suite}-success.png", picture)
+    for number, (name, errors) in enumerate(result.errors_mm.items()):
+        picture = draw_errors_over_time({name: errors}, title=f"{result.suite}: mean joint error")
+        write_picture(folder / f"{result.suite}-error-{number}.png", picture)
+
+
+def _draw_overlays(folder: Path, result: SuiteResult) -> None:
+    """Write every overlay as a picture."""
+    from handtrack.evaluation.curves import write_picture
+    from handtrack.viewer.pictures import OverlayPainter, PictureStyle
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for overlay in result.overlays:
+        painter = OverlayPainter(overlay.hand, overlay.camera, style=PictureStyle(zoom=0.35))
+        picture = painter.paint(
+            overlay.depth, overlay.pose, title=overlay.name, lines=[(overlay.text, (240, 240, 240))]
+        )
+        write_picture(folder / f"{overlay.name}.png", picture)
+
+
+def _command(options: BenchOptions) -> str:
+    """The command line that gives the same numbers, without paths."""
+    words = ["handtrack", "bench", options.suite or "--sequence"]
+    if options.sequence is not None:
+        words += ["--sequence"] * (options.suite is not None) + [Path(options.sequence).name]
+    words += [word for name in options.tracker for word in ("--tracker", name)]
+    if options.shape != "given":
+        words += ["--shape", options.shape]
+    if options.seed:
+        words += ["--seed", str(options.seed)]
+    words += ["--quick"] * options.quick + ["--cold"] * options.cold
+    return " ".join([*words, "--device", options.device])
+
+
+def _json(document: dict[str, Any]) -> str:
+    """The benchmark file's text, as `handtrack.evaluation.report.write_bench` writes it."""
+    import json
+
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"
