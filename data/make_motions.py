@@ -1,4 +1,4 @@
-"""Retarget recorded hand motion onto our skeleton: writes data/motions/*.npz and prints what is left.
+"""Retarget recorded hand motion onto our skeleton; write data/motions/*.npz, print what is left.
 
 Usage: python data/make_motions.py --recordings DIR [--out data/motions]
 

@@ -25,7 +25,7 @@ Float = NDArray[np.float64]
 OUT = Path(__file__).resolve().parent / "pose_prior.npz"
 SEED = 20170817
 PER_SOURCE = 2400
-"""Frames drawn from each source, so that both weigh the same; equally many from each of its takes."""
+"""Frames drawn from each source, so that both weigh the same; as many from each of its takes."""
 EXPLAINED = 0.95
 """Share of the variance that the axes must explain."""
 
@@ -118,8 +118,11 @@ def describe(prior: GaussianPrior, drawn: dict[str, Float]) -> None:
     for name, angles in {**drawn, "all": everything}.items():
         off = angles - prior.mean
         left = off - (off @ prior.axes) @ prior.axes.T
-        print(f"{name}: {len(angles)} frames, {1 - (left**2).sum() / (off**2).sum():.3f} explained, "
-              f"{np.degrees(np.sqrt((left**2).mean())):.1f} degrees left")  # fmt: skip
+        explained = 1 - (left**2).sum() / (off**2).sum()
+        degrees = np.degrees(np.sqrt((left**2).mean()))
+        print(
+            f"{name}: {len(angles)} frames, {explained:.3f} explained, {degrees:.1f} degrees left"
+        )
     deviation = np.degrees(np.sqrt(np.diag(prior.covariance)))
     for name, mean, spread in zip(ANGLES, np.degrees(prior.mean), deviation, strict=True):
         print(f"  {name:22s} {mean:6.1f} +- {spread:4.1f} degrees")

@@ -1,4 +1,4 @@
-"""Draw overlay.png, the picture at the top of the README: four tracked frames of the sample sequence.
+"""Draw overlay.png, the picture at the top of the README: four tracked frames of the sample.
 
 Usage: python docs/pictures/make_overlay.py [--out docs/pictures/overlay.png]
 """

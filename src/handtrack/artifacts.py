@@ -11,7 +11,7 @@ _FOLDERS = ("models", "data", "benchmarks")
 
 
 def artifact_root() -> Path:
-    """Folder that holds `models/`, `data/` and `benchmarks/`: in a wheel's package, or the checkout."""
+    """Folder with `models/`, `data/` and `benchmarks/`: in a wheel's package, else the checkout."""
     packed = _PACKAGE / "_artifacts"
     return packed if packed.is_dir() else _PACKAGE.parents[1]
 

@@ -25,7 +25,9 @@ def resolve_device(device: str | None = None) -> wp.Device:
         return wp.get_device(device)
     except (ValueError, RuntimeError) as error:
         names = ", ".join(str(d.alias) for d in wp.get_devices())
-        raise DeviceError(f"device {device!r} is not available; this machine has: {names}") from error
+        raise DeviceError(
+            f"device {device!r} is not available; this machine has: {names}"
+        ) from error
 
 
 class FrameGraph:

@@ -1,4 +1,4 @@
-"""Errors raised by handtrack. Every one is a `HandtrackError` and the built-in error a caller would expect."""
+"""Errors raised by handtrack: each a `HandtrackError` and the built-in error a caller expects."""
 
 
 class HandtrackError(Exception):

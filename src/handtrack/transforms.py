@@ -30,7 +30,7 @@ def quat_to_matrix(quat: ArrayLike) -> Float:
 
 
 def matrix_to_quat(matrix: ArrayLike) -> Float:
-    """Unit quaternions w x y z (w >= 0), shape (..., 4), of rotation matrices, shape (..., 3, 3)."""
+    """Unit quaternions w x y z, w >= 0, shape (..., 4), of matrices, shape (..., 3, 3)."""
     m = np.asarray(matrix, np.float64)
     quat = Rotation.from_matrix(m.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
     return quat.reshape(*m.shape[:-2], 4)
@@ -68,7 +68,7 @@ def apply_increment(pose: ArrayLike, increment: ArrayLike) -> Float:
 
 
 def pose_difference(pose: ArrayLike, reference: ArrayLike) -> Float:
-    """Increment that leads from `reference` to `pose`, shape (..., 27); inverse of `apply_increment`."""
+    """Increment from `reference` to `pose`, shape (..., 27): the inverse of `apply_increment`."""
     a, b = np.asarray(pose, np.float64), np.asarray(reference, np.float64)
     relative = np.swapaxes(quat_to_matrix(b[..., 3:7]), -1, -2) @ quat_to_matrix(a[..., 3:7])
     return np.concatenate(

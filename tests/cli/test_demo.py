@@ -46,7 +46,7 @@ def test_the_demo_tracks_the_sample(tmp_path: Path, capsys: pytest.CaptureFixtur
         states = found["state"].tolist()
         error = 1e3 * np.linalg.norm(found["keypoints"] - found["truth_keypoints"], axis=-1)
     assert states.count("tracking") >= 148
-    assert error.mean() < 7.0 and (error.mean(1) > 20).mean() <= 0.02
+    assert error.mean() < 5.0 and (error.mean(1) > 20).mean() <= 0.02
     facts = json.loads((tmp_path / "out" / "config.json").read_text())
     assert facts["frames"] == 150
 

@@ -1,4 +1,4 @@
-"""`handtrack track`: results on disk, where the first pose comes from, damaged frames, bad usage."""
+"""`handtrack track`: results on disk, first poses, damaged frames, bad usage."""
 
 from __future__ import annotations
 

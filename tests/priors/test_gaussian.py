@@ -1,4 +1,4 @@
-"""The Gaussian prior: what PCA keeps, what a file keeps, and the prior that comes with handtrack."""
+"""The Gaussian prior: what PCA keeps, what a file keeps, and the one that is shipped."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles.scenes import hand_model
 
 from handtrack.artifacts import artifact_path
 from handtrack.errors import DamagedFileError, InputError, MissingFileError
 from handtrack.hand.skeleton import ANGLES
 from handtrack.priors.gaussian import GaussianPrior
 from handtrack.synthesis.motion import Motion
+from oracles.scenes import hand_model
 
 
 def correlated(count: int, rng: np.random.Generator) -> np.ndarray:

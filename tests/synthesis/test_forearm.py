@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from oracles.scenes import shaped_hand
 
 from handtrack.synthesis.forearm import (
     GROWTH,
@@ -16,6 +15,7 @@ from handtrack.synthesis.forearm import (
     wrist_section,
 )
 from handtrack.transforms import rotvec_to_matrix
+from oracles.scenes import shaped_hand
 
 
 @pytest.mark.parametrize("side", ["right", "left"])

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles.raycast import cast_rays
-from oracles.scenes import SMALL_CAMERA, seen_poses, shaped_hand
 
 from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
 from handtrack.hand.kinematics import skin
 from handtrack.hand.side import mirror_pose
 from handtrack.synthesis.renderer import DepthRenderer
+from oracles.raycast import cast_rays
+from oracles.scenes import SMALL_CAMERA, seen_poses, shaped_hand
 
 CAMERA = Camera(width=80, height=60, fx=62.0, fy=62.0, cx=39.5, cy=29.5)
 
@@ -22,7 +22,7 @@ def test_depth_and_triangles_agree_with_ray_casting(
 ) -> None:
     hand = shaped_hand(seed=2)
     pose = seen_poses(hand, rng, 1)[0]
-    elbow = pose[:3] + [0.08, 0.2, 0.05] if arm else None
+    elbow = pose[:3] + np.array([0.08, 0.2, 0.05]) if arm else None
     renderer = DepthRenderer(hand, CAMERA, device=device, batch=1)
     depth, items, vertices, faces = renderer.surface(pose, elbow=elbow)
     np.testing.assert_allclose(vertices[: hand.nvert], skin(hand, pose), atol=1e-6)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles.scenes import hand_model, seen_poses, shaped_hand
 
 from handtrack.hand.kinematics import keypoints
 from handtrack.synthesis.retarget import retarget_keypoints
+from oracles.scenes import hand_model, seen_poses, shaped_hand
 
 
 def test_angles_of_another_hand_come_back(rng: np.random.Generator) -> None:

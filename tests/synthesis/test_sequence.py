@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles.scenes import shaped_hand
 
 from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
@@ -18,6 +17,7 @@ from handtrack.synthesis.sequence import (
     synthesize_sequence,
     worn_by,
 )
+from oracles.scenes import shaped_hand
 
 CAMERA = Camera(width=160, height=120, fx=120.71, fy=120.71, cx=79.5, cy=59.5)
 

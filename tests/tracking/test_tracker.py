@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from oracles.scenes import hand_model, shaped_hand
 
 from handtrack.camera.camera import Camera
 from handtrack.camera.frame import DepthFrame
@@ -14,8 +13,10 @@ from handtrack.hand.side import mirror_pose
 from handtrack.synthesis.motion import Motion
 from handtrack.synthesis.noise import NONE, TIME_OF_FLIGHT, SensorNoise
 from handtrack.synthesis.sequence import synthesize_sequence
+from handtrack.tracking.model_based import ModelBasedConfig
 from handtrack.tracking.result import HandResult, TrackState
 from handtrack.tracking.tracker import HandTracker
+from oracles.scenes import hand_model, shaped_hand
 
 CAMERA = Camera(width=160, height=120, fx=120.71, fy=120.71, cx=79.5, cy=59.5)
 
@@ -64,16 +65,20 @@ def test_a_moving_hand_is_followed(device: str, side: str) -> None:
 def test_a_left_hand_is_followed_as_its_mirror_image() -> None:
     # The camera's axis is in the middle of the image, so the mirrored image is one of its own.
     frames = sequence(count=12, noise=NONE)
-    right = follow(HandTracker(CAMERA, device="cpu"), frames)
-    track = HandTracker(CAMERA, side="left", device="cpu")
+    # Random restarts are drawn for either hand alike, not for its mirror image.
+    config = ModelBasedConfig(rescue_rows=0)
+    right = follow(HandTracker(CAMERA, config=config, device="cpu"), frames)
+    track = HandTracker(CAMERA, side="left", config=config, device="cpu")
     assert frames[0].truth is not None
     track.reset(mirror_pose(frames[0].truth.pose))  # type: ignore[arg-type]
+    off = []
     for frame, result in zip(frames, right, strict=True):
         mirrored = track.track(np.ascontiguousarray(frame.depth[:, ::-1]))
         assert mirrored.side == "left"
         expected = result.keypoints * [-1, 1, 1]
-        # Rounding decides ties the other way; both follow the same hand.
-        assert 1e3 * np.linalg.norm(mirrored.keypoints - expected, axis=1).mean() < 3.0
+        # The grid of sampled points begins at the left border for both.
+        off.append(1e3 * np.linalg.norm(mirrored.keypoints - expected, axis=1).mean())
+    assert max(off) < 4.0
 
 
 def test_the_tracker_of_the_thesis_runs() -> None:

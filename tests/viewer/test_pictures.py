@@ -1,4 +1,4 @@
-"""Overlay pictures: the mesh where the hand is, the skeleton where the joints are, whatever comes in."""
+"""Overlay pictures: the mesh where the hand is, the skeleton where the joints are."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oracles.scenes import SMALL_CAMERA, seen_poses, shaped_hand
 
 from handtrack.errors import InputError
 from handtrack.hand.kinematics import keypoints
@@ -20,6 +19,7 @@ from handtrack.viewer.pictures import (
     contact_sheet,
     draw_skeleton,
 )
+from oracles.scenes import SMALL_CAMERA, seen_poses, shaped_hand
 
 PLAIN = PictureStyle(panel=(320, 240), text=False, skeleton=False, side_by_side=False)
 """Mesh over depth, twice the camera's size."""
@@ -67,7 +67,7 @@ def test_light_comes_from_above(depth: np.ndarray) -> None:
     u, v = np.rint(middle).astype(int)
     patch = picture[v - 12 : v + 13, u - 12 : u + 13]
     mesh = patch > sum(EMPTY_COLOUR) + 60
-    rows, columns = np.nonzero(mesh)
+    columns = np.nonzero(mesh)[1]
     left = patch[mesh & (np.arange(25)[None] < np.median(columns))].mean()
     right = patch[mesh & (np.arange(25)[None] > np.median(columns))].mean()
     assert left > 1.05 * right

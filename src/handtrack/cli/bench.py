@@ -136,7 +136,7 @@ def _recorded(sequence: Sequence, options: BenchOptions) -> RecordedFrames:
     from handtrack.hand.model import HandModel
 
     if not isinstance(sequence, RecordedSequence) or not len(sequence):
-        raise InputError(f"{options.sequence} is no recording with frames: expected a file or folder")
+        raise InputError(f"{options.sequence} holds no frame: expected a recording")
     model = HandModel.load()
     labelled = first_labelled(sequence)
     side = options.side or (sequence.subject.side if sequence.subject else None) or "right"
@@ -238,7 +238,8 @@ def _draw_curves(folder: Path, result: SuiteResult) -> None:
     picture = draw_success_curves(result.errors_mm, title=title)
     write_picture(folder / f"{result.suite}-success.png", picture)
     for number, (name, errors) in enumerate(result.errors_mm.items()):
-        picture = draw_errors_over_time({name: errors}, title=f"{result.suite}: mean joint error")
+        title = f"{result.suite}: mean error of each frame, one run after the other"
+        picture = draw_errors_over_time({name: errors}, title=title)
         write_picture(folder / f"{result.suite}-error-{number}.png", picture)
 
 

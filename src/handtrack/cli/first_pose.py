@@ -30,7 +30,7 @@ def read_pose(path: Path) -> Pose:
 
     Args:
         path: .json with a list of 28 numbers, or an object that has it under "pose"; .npz with the
-            array "pose", shape (28,) or (n, 28), of which the first is taken (so results.npz works).
+            array "pose", shape (28,) or (n, 28), whose first is taken (so results.npz works).
 
     Raises:
         MissingFileError: There is no such file.

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -34,13 +34,13 @@ class SynthOptions:
     Examples::
 
         handtrack synth recorded_hand_motion --out fist.npz --frames 270:420 --subject 7
-        handtrack synth leap_hand_motion --out seq/ --camera realsense --noise coded-light --stride 4
+        handtrack synth leap_hand_motion --out seq/ --camera realsense --noise coded-light
     """
 
     motion: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION")]
     """Motion file, or name of a motion that comes with handtrack."""
     out: Path
-    """Where to write: FILE.npz, or a folder for 16-bit PNG images with camera.json and truth.npz."""
+    """Where to: FILE.npz, or a folder for 16-bit PNG images with camera.json and truth.npz."""
     subject: str = "mean"
     """Whose hand: mean, a number that draws a subject of the population, or a shape .npz."""
     side: Literal["right", "left"] = "right"
@@ -226,10 +226,10 @@ class _Labels:
 
     def __init__(self) -> None:
         self.times: list[float] = []
-        self.poses: list[object] = []
-        self.keypoints: list[object] = []
+        self.poses: list[Any] = []
+        self.keypoints: list[Any] = []
 
-    def depths(self, frames: Iterator[DepthFrame]) -> Iterator[object]:
+    def depths(self, frames: Iterator[DepthFrame]) -> Iterator[Any]:
         """Depth of each frame."""
         for frame in frames:
             assert frame.truth is not None

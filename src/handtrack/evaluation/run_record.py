@@ -86,14 +86,14 @@ class RunRecord:
 
     def accuracy(self) -> AccuracySummary | None:
         """Accuracy over the frames whose true keypoints are known, None without any."""
-        known = [
-            place for place, points in enumerate(self.truth)
+        known = {
+            place: points
+            for place, points in enumerate(self.truth)
             if points is not None and np.isfinite(points).all()
-        ]  # fmt: skip
+        }
         if not known:
             return None
-        truth = np.stack([self.truth[place] for place in known])
-        return summarize(self.keypoints[known], truth)
+        return summarize(self.keypoints[list(known)], np.stack(list(known.values())))
 
     def save(self, folder: str | os.PathLike[str], *, source: str = "") -> list[Path]:
         """Write results.npz and results.csv, each replaced as a whole.

@@ -64,7 +64,7 @@ class Run:
     @property
     def labelled(self) -> NDArray[np.bool_]:
         """Frames whose true keypoints are known, shape (n,)."""
-        return np.isfinite(self.truth).all(axis=(1, 2))
+        return np.asarray(np.isfinite(self.truth).all(axis=(1, 2)))
 
     @property
     def errors_mm(self) -> Float:

@@ -8,7 +8,6 @@ import numpy as np
 
 from handtrack.errors import InputError
 
-
 _SIGNED = ("min_cosine", "wrist_cut")
 
 
@@ -51,7 +50,8 @@ class FitConfig:
     robust_scale: float = 0.008
     """Scale of the Geman-McClure weight of the registration term [m]; large switches it off."""
     robust_start: float = 0.02
-    """That scale in the first iteration; it shrinks geometrically to `robust_scale` in the last [m]."""
+    """That scale in the first iteration; it shrinks geometrically to `robust_scale` in the last
+    [m]."""
     smooth_weight: float = 2.0
     """lambda_2 of Eq. II.21: smoothness of translation [1/cm^2] and rotations [1/rad^2]. The thesis
     has 0.2; more filters sensor noise, and lags behind fast motion."""
@@ -67,7 +67,8 @@ class FitConfig:
     silhouette_reach: int = 24
     """Farthest foreground looked for [cells]."""
     front_weight: float = 0.0
-    """Weight of model vertices in front of the observed surface [1/cm^2]; 0 switches the term off."""
+    """Weight of model vertices in front of the observed surface [1/cm^2]; 0 switches the term
+    off."""
     front_scale: float = 0.03
     """Geman-McClure scale of that distance [m]."""
     front_margin: float = 0.015
@@ -110,7 +111,9 @@ class FitConfig:
         for field in fields(self):
             value = getattr(self, field.name)
             if not np.isfinite(value) or (value < 0 and field.name not in _SIGNED):
-                raise InputError(f"FitConfig.{field.name} is {value}; expected a finite number >= 0")
+                raise InputError(
+                    f"FitConfig.{field.name} is {value}; expected a finite number >= 0"
+                )
         divisor = np.lcm(self.bin_cells, np.lcm(self.point_stride, self.score_scale))
         if self.crop_cells < 16 or self.crop_cells % divisor:
             raise InputError(
@@ -134,4 +137,5 @@ THESIS = FitConfig(
     smooth_weight=0.2,
     iterations=4,
 )
-"""The energy of Eq. II.21 with the thesis' weights: point-to-point, smoothness, limits, plain steps."""
+"""The energy of Eq. II.21 with the thesis' weights: point-to-point, smoothness, limits, plain
+steps."""

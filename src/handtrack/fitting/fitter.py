@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -23,8 +24,17 @@ from handtrack.fitting.spheres import CollisionSpheres
 from handtrack.fitting.workspace import HandArrays, RowArrays, point_directions
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NANGLE, NQ, NV
-from handtrack.kernels import correspond, crop, kinematics, priors, render, residuals, score
-from handtrack.kernels import skinning, solve
+from handtrack.kernels import (
+    correspond,
+    crop,
+    kinematics,
+    priors,
+    render,
+    residuals,
+    score,
+    skinning,
+    solve,
+)
 from handtrack.priors.gaussian import GaussianPrior
 
 SQUARE_METRE = 1.0e4
@@ -102,7 +112,7 @@ class Fitter:
             threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         parts = 1 if self.device.is_cuda else max(1, min(threads, self.nrow))
         edges = np.linspace(0, self.nrow, parts + 1).round().astype(int)
-        return [self.rows.part(int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False)]
+        return [self.rows.part(int(a), int(b)) for a, b in pairwise(edges)]
 
     @staticmethod
     def _unknown_weights(translation: float, angle: float) -> NDArray[np.float32]:
@@ -170,12 +180,12 @@ class Fitter:
     @property
     def poses(self) -> NDArray[np.float32]:
         """Refined poses, shape (nrow, 28); a copy."""
-        return self.rows.pose.numpy().copy()
+        return np.array(self.rows.pose.numpy(), np.float32)
 
     @property
     def errors(self) -> NDArray[np.float32]:
         """Depth error E_d of each row [m] (Eq. II.19), shape (nrow,); a copy."""
-        return self.rows.errors.numpy().copy()
+        return np.array(self.rows.errors.numpy(), np.float32)
 
     def _launch_prepare(self) -> None:
         image, config = self.image, self.config

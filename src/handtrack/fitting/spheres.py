@@ -35,7 +35,7 @@ class CollisionSpheres:
 
     @classmethod
     def build(cls, hands: Sequence[ShapedHand], device: wp.Device) -> CollisionSpheres:
-        """Fit spheres to each hand's skin: centred in the flesh around points along every finger bone."""
+        """Fit spheres to each hand's skin, centred in the flesh along every finger bone."""
         bones = np.repeat(np.arange(1, NBONE), PER_BONE)
         fitted = [_fit_spheres(hand) for hand in hands]
         fingers = np.array([finger_of_bone(int(b)) for b in bones])

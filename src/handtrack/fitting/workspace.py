@@ -1,4 +1,4 @@
-"""Everything the fit writes, allocated once: per hand (one depth image) and per row (one hypothesis)."""
+"""Everything the fit writes, allocated once: per hand (depth image) and per row (hypothesis)."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class RowArrays:
     def allocate(
         cls, nhand: int, nhyp: int, nvert: int, nsphere: int, config: FitConfig, device: wp.Device
     ) -> RowArrays:
-        """Allocate for `nhyp` hypotheses of each of `nhand` hands; row = hand * nhyp + hypothesis."""
+        """Allocate `nhyp` hypotheses of each of `nhand` hands; row = hand * nhyp + hypothesis."""
         nrow = nhand * nhyp
         nbin = config.crop_cells // config.bin_cells
         npoint = (config.crop_cells // config.point_stride) ** 2

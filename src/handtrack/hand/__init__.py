@@ -1,0 +1,1 @@
+"""The hand: names, skeleton, shape space, kinematics, the mirror rule."""

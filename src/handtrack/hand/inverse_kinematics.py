@@ -1,4 +1,4 @@
-"""Inverse kinematics in NumPy: poses whose chosen points lie where they are told, all frames at once."""
+"""Inverse kinematics in NumPy: poses that put chosen points where they belong, all at once."""
 
 from __future__ import annotations
 
@@ -88,14 +88,17 @@ def point_jacobian(hand: ShapedHand, points: BonePoints, pose: ArrayLike) -> tup
 
 
 def _angle_axes(hand: ShapedHand, rotations: Float, pose: Float) -> Float:
-    """World axes of the joint angles, shape (n, 21, 3): an outer axis is turned by the outer angle only."""
+    """World axes of the joint angles, shape (n, 21, 3); inner angles do not turn outer axes."""
     axes = np.empty((len(pose), NANGLE, 3))
     for angle, bone in enumerate(ANGLE_BONES):
-        axis = (rotations[:, bone] @ hand.angle_axes[angle])
+        axis = rotations[:, bone] @ hand.angle_axes[angle]
         inner = angle + 1
         if inner < NANGLE and ANGLE_BONES[inner] == bone:
-            # Undo the inner rotation: R = R_outer Rot(inner), and Rot(-inner) acts in the bone frame.
-            from_inner = _rotate(hand.angle_axes[inner], -pose[:, 7 + inner], hand.angle_axes[angle])
+            # Undo the inner rotation: R = R_outer Rot(inner), and Rot(-inner) acts in the bone
+            # frame.
+            from_inner = _rotate(
+                hand.angle_axes[inner], -pose[:, 7 + inner], hand.angle_axes[angle]
+            )
             axis = (rotations[:, bone] @ from_inner[..., None])[..., 0]
         axes[:, angle] = axis
     return axes
@@ -154,7 +157,8 @@ def solve_poses(
         start: Start poses, shape (n, 28).
         iterations: Gauss-Newton steps.
         limit_weight: Weight of squared excess over a joint limit [m^2/rad^2].
-        rest_weight: Weight of squared departure from the rest angles [m^2/rad^2]; settles angles that
+        rest_weight: Weight of squared departure from the rest angles [m^2/rad^2]; settles
+            angles that
             the points leave open.
 
     Returns:
@@ -168,12 +172,13 @@ def solve_poses(
         raise InputError(
             f"targets have shape {targets.shape}; expected {(len(pose), len(points.bones), 3)}"
         )
-    known = np.isfinite(targets).all(-1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(targets).all(-1))
     goal = np.where(known[..., None], targets, 0.0)
     low, high = hand.limits.T
     damping = np.full(len(pose), 1e-3)
     energy = np.full(len(pose), np.inf)
-    best, system, slope = pose.copy(), None, None
+    best = pose.copy()
+    system, slope = np.zeros((len(pose), NV, NV)), np.zeros((len(pose), NV))
     for _ in range(iterations):
         placed, jacobian = point_jacobian(hand, points, pose)
         residual = np.where(known[..., None], placed - goal, 0.0)
@@ -191,9 +196,7 @@ def solve_poses(
         hessian[:, index, index] += limit_weight * (over != 0) + rest_weight
         gradient[:, 6:] += limit_weight * over + rest_weight * away
 
-        better = tried < energy
-        if system is None:
-            system, slope = hessian.copy(), gradient.copy()
+        better: NDArray[np.bool_] = np.asarray(tried < energy)
         system[better], slope[better] = hessian[better], gradient[better]
         best[better], energy[better] = pose[better], tried[better]
         damping = np.clip(np.where(better, damping * 0.3, damping * 8), 1e-9, 1e3)

@@ -1,4 +1,4 @@
-"""Forward kinematics and skinning in NumPy float64: the reference for the kernels (Eq. II.8, II.9)."""
+"""Forward kinematics and skinning in NumPy float64, the kernels' reference (Eq. II.8, II.9)."""
 
 from __future__ import annotations
 

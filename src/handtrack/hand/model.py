@@ -1,6 +1,7 @@
-"""The parametric hand: template, skeleton, skin weights and shape space (thesis II.3, Eq. II.1-II.9).
+"""The parametric hand: template, skeleton, skin and shape space (thesis II.3, Eq. II.1-II.9).
 
-`HandModel` is the artifact; `HandModel.shaped` gives the `ShapedHand` of one person, which is all that
+`HandModel` is the artifact; `HandModel.shaped` gives the `ShapedHand` of one person, which is all
+that
 kinematics, rendering and fitting need.
 """
 
@@ -39,7 +40,8 @@ class ShapedHand:
     local_vertices: Float
     """Scaled vertices in the frame of each bone that moves them (Eq. II.7), shape (nvert, 3, 3)."""
     local_normals: Float
-    """Outward unit normals of the rest mesh in the frames of the same bones, shape (nvert, 3, 3)."""
+    """Outward unit normals of the rest mesh in the frames of the same bones, shape (nvert, 3,
+    3)."""
     bone_rotations: Float
     """Rotation from bone to parent at zero angles, shape (16, 3, 3)."""
     bone_origins: Float
@@ -62,7 +64,7 @@ class ShapedHand:
 
     @property
     def bone_lengths(self) -> Float:
-        """Distance from each bone's joint to the next joint or tip [m], shape (16,); palm: wrist to middle MCP."""
+        """From each bone's joint to the next or the tip [m], shape (16,); palm: to middle MCP."""
         lengths = np.empty(NBONE)
         lengths[0] = np.linalg.norm(self.bone_origins[BASE_BONES[2]])
         for bone, parent in enumerate(BONE_PARENTS):
@@ -74,7 +76,7 @@ class ShapedHand:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandModel:
-    """The right hand's template and shape space, as stored in `models/hand.npz`. Metres, float64."""
+    """The right hand's template and shape space, as in `models/hand.npz`. Metres, float64."""
 
     vertices: Float
     """Template in the palm frame at `rest_angles`, shape (nvert, 3)."""
@@ -127,23 +129,26 @@ class HandModel:
         """
         path = Path(path) if path is not None else artifact_path("hand.npz")
         if not path.is_file():
-            raise MissingFileError(f"no hand model at {path}; models/README.md says how to build it")
+            raise MissingFileError(
+                f"no hand model at {path}; models/README.md says how to build it"
+            )
         try:
             with np.load(path, allow_pickle=False) as data:
                 version = int(data["format_version"])
                 if version != FORMAT_VERSION:
                     raise DamagedFileError(
-                        f"{path} has hand model format {version}; this version reads {FORMAT_VERSION}"
+                        f"{path} has hand model format {version}; this version reads"
+                        f" {FORMAT_VERSION}"
                     )
                 arrays = {f.name: np.asarray(data[f.name]) for f in fields(cls)}
         except (KeyError, OSError, EOFError, zipfile.BadZipFile, ValueError) as error:
             if isinstance(error, DamagedFileError):
                 raise
             raise DamagedFileError(f"{path} is not a hand model: {error}") from error
+        cut_x = float(arrays.pop("cut_x"))
         for name, value in arrays.items():
             arrays[name] = value.astype(np.int32 if value.dtype.kind == "i" else np.float64)
-        arrays["cut_x"] = float(arrays["cut_x"])
-        return cls(**arrays)
+        return cls(**arrays, cut_x=cut_x)
 
     def sample_shape(self, rng: np.random.Generator, *, deviation: float = 1.0) -> HandShape:
         """Draw a plausible shape: alpha and beta normal with the given deviation."""
@@ -153,7 +158,7 @@ class HandModel:
         )
 
     def scales(self, shape: HandShape) -> Float:
-        """Bone scales S(alpha) with the overall scale applied to entry 0 (Eq. II.4), shape (17,)."""
+        """Bone scales S(alpha), shape (17,), entry 0 times the overall scale (Eq. II.4)."""
         alpha = _padded(shape.alpha, self.nalpha, "alpha")
         scales = self.scale_mean + self.scale_basis @ alpha
         scales[0] *= shape.scale

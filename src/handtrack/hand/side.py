@@ -61,6 +61,4 @@ def mirror_pose(pose: ArrayLike) -> NDArray[np.float64]:
     pose = np.asarray(pose, np.float64)
     flip = np.array([-1.0, 1.0, 1.0])
     rotation = quat_to_matrix(pose[..., 3:7]) * flip[:, None] * MIRROR[None, :]
-    return np.concatenate(
-        [pose[..., :3] * flip, matrix_to_quat(rotation), pose[..., 7:]], axis=-1
-    )
+    return np.concatenate([pose[..., :3] * flip, matrix_to_quat(rotation), pose[..., 7:]], axis=-1)

@@ -28,7 +28,29 @@ ANGLES: tuple[str, ...] = (
 )  # fmt: skip
 """Joint angle names, shape (21,): pose[7:28] and increment[6:27]."""
 
-ANGLE_BONES: tuple[int, ...] = (1, 1, 2, 2, 3, 4, 4, 5, 6, 7, 7, 8, 9, 10, 10, 11, 12, 13, 13, 14, 15)
+ANGLE_BONES: tuple[int, ...] = (
+    1,
+    1,
+    2,
+    2,
+    3,
+    4,
+    4,
+    5,
+    6,
+    7,
+    7,
+    8,
+    9,
+    10,
+    10,
+    11,
+    12,
+    13,
+    13,
+    14,
+    15,
+)
 """Bone that each joint angle moves."""
 
 KEYPOINTS: tuple[str, ...] = (

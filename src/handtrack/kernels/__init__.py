@@ -1,0 +1,1 @@
+"""Every Warp kernel, one file per step; arrays in, arrays out."""

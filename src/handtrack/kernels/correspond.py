@@ -1,6 +1,7 @@
 """Correspondences from observed points to facing model vertices, by a windowed search (II.5.2.1).
 
-Vertices that face the camera, seen or hidden, are sorted into square bins of the crop; a point looks
+Vertices that face the camera, seen or hidden, are sorted into square bins of the crop; a point
+looks
 only into the bins around its own.
 """
 
@@ -12,7 +13,8 @@ wp.set_module_options({"enable_backward": False})
 
 
 RAY_COSINE = wp.constant(0.8)
-"""Least cosine between a ray and the optical axis for which the search may stop early: views up to 74 degrees."""
+"""Least cosine between a ray and the optical axis for which the search may stop early: views up to
+74 degrees."""
 
 
 @wp.kernel
@@ -76,7 +78,7 @@ def _match_points(
     # out
     matches_out: wp.array2d[int],
 ):
-    """One sampled cell of one row: the nearest facing vertex (Eq. II.22), -1 none near, -2 not the hand's."""
+    """One sampled cell of one row: its nearest facing vertex (Eq. II.22), or why there is none."""
     rowid, slot = wp.tid()
     hand = row_hand_in[rowid]
     per_side = cells_in.shape[2] // stride
@@ -95,14 +97,15 @@ def _match_points(
     known = wp.length_sq(observed) > 0.0
     bx = column // bin_size
     by = row // bin_size
-    # Cells from the point to the nearest edge of its own bin: a ring k bins out is that much farther.
+    # Cells from the point to the nearest edge of its own bin: a ring k bins out is that much
+    # farther.
     edge = wp.min(
         wp.min(column - bx * bin_size, bx * bin_size + bin_size - 1 - column),
         wp.min(row - by * bin_size, by * bin_size + bin_size - 1 - row),
     )
     cell = RAY_COSINE * z / crops_in[hand, 0]
     best = max_distance * max_distance
-    match = int(-1)
+    match = -1
     for ring in range(window + 1):
         # Vertices of farther rings lie on rays that pass the point at a distance.
         apart = cell * (float((ring - 1) * bin_size + edge) + 0.5)
@@ -120,7 +123,10 @@ def _match_points(
                         # Ties go to the lower vertex, so that list order (a race on a GPU) cannot
                         # matter.
                         if d < best or (d == best and vertid < match):
-                            if not known or wp.dot(observed, normals_in[rowid, vertid]) > min_cosine:
+                            if (
+                                not known
+                                or wp.dot(observed, normals_in[rowid, vertid]) > min_cosine
+                            ):
                                 best = d
                                 match = vertid
                         vertid = next_in[rowid, vertid]
@@ -204,7 +210,8 @@ def match_points(
         max_distance: Longest correspondence [m].
         min_cosine: Least cosine between observed and model normal; -1 accepts all.
         wrist_x: Points behind this palm-frame x belong to the forearm [m].
-        matches: Out: vertex, -1 none near, -2 no point of the hand, shape (nrow, (n // stride) ** 2).
+        matches: Out: vertex, -1 none near, -2 no point of the hand, shape (nrow, (n // stride)
+            ** 2).
     """
     wp.launch(
         _match_points,

@@ -1,6 +1,7 @@
 """From the depth image to what fitting reads: a metric crop, its points and its silhouette.
 
-The crop is a virtual camera: a square grid of cells laid over the hand, each cell showing the nearest
+The crop is a virtual camera: a square grid of cells laid over the hand, each cell showing the
+nearest
 pixel. Cells keep about the same size in metres at any distance and for any camera.
 """
 
@@ -11,7 +12,8 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 CROP_SIZE = 8
-"""Columns of a crop's parameters: fx fy cx cy of the grid [cells], x0 y0 [pixels], step [pixels], unused."""
+"""Columns of a crop's parameters: fx fy cx cy of the grid [cells], x0 y0 [pixels], step [pixels],
+unused."""
 
 GATE_SIZE = 4
 """Columns of a crop's gate: centre x y z and radius [m] of the sphere that holds the hand."""
@@ -31,8 +33,10 @@ def _crop_depth(
 ):
     """One cell of one hand: z and point, smoothed over the pixels around the nearest one.
 
-    0 is background (nothing measured, or something farther than the hand may be), infinity is unknown
-    (outside the image, hidden by something nearer than the hand may be, or a stray pixel at an edge).
+    0 is background (nothing measured, or something farther than the hand may be), infinity is
+    unknown
+    (outside the image, hidden by something nearer than the hand may be, or a stray pixel at an
+    edge).
     """
     hand, row, column = wp.tid()
     x = int(wp.floor(crops_in[hand, 4] + crops_in[hand, 6] * float(column) + 0.5))
@@ -45,12 +49,17 @@ def _crop_depth(
     radius = gates_in[hand, 3]
     z = depth_in[hand, y, x]
     nearest = float(wp.inf)
-    total = float(0.0)
-    number = int(0)
-    around = int(0)
+    total = 0.0
+    number = 0
+    around = 0
     for j in range(-1, 2):
         for i in range(-1, 2):
-            if x + i >= 0 and x + i < depth_in.shape[2] and y + j >= 0 and y + j < depth_in.shape[1]:
+            if (
+                x + i >= 0
+                and x + i < depth_in.shape[2]
+                and y + j >= 0
+                and y + j < depth_in.shape[1]
+            ):
                 other = depth_in[hand, y + j, x + i]
                 if other > 0.0:
                     around += 1
@@ -68,8 +77,8 @@ def _crop_depth(
             cells_out[hand, row, column] = 0.0
             return
         # A hole inside a surface: take the neighbours' depth where they agree.
-        total = float(0.0)
-        number = int(0)
+        total = 0.0
+        number = 0
         for j in range(-1, 2):
             for i in range(-1, 2):
                 if (
@@ -103,16 +112,16 @@ def _scan_columns(
     # out
     nearest_out: wp.array3d[int],
 ):
-    """One column of one hand: for every cell the row of the column's nearest foreground cell, or -1."""
+    """One column of one hand: per cell the row of the column's nearest foreground cell or -1."""
     hand, column = wp.tid()
     rows = cells_in.shape[1]
-    last = int(-1)
+    last = -1
     for row in range(rows):
         z = cells_in[hand, row, column]
         if z > 0.0:
             last = row
         nearest_out[hand, row, column] = last
-    last = int(-1)
+    last = -1
     for back in range(rows):
         row = rows - 1 - back
         above = nearest_out[hand, row, column]
@@ -132,7 +141,7 @@ def _estimate_normals(
     # out
     normals_out: wp.array3d[wp.vec3],
 ):
-    """One cell of one hand: normal towards the camera from neighbours `reach` cells away, or zero."""
+    """One cell of one hand: normal from neighbours `reach` cells away, zero where unknown."""
     hand, row, column = wp.tid()
     rows = cells_in.shape[1]
     columns = cells_in.shape[2]

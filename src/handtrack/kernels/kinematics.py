@@ -76,7 +76,15 @@ def pose_bones(
     wp.launch(
         _pose_bones,
         dim=pose.shape[0],
-        inputs=[bone_rotations, bone_origins, bone_parents, bone_angles, angle_axes, row_hand, pose],
+        inputs=[
+            bone_rotations,
+            bone_origins,
+            bone_parents,
+            bone_angles,
+            angle_axes,
+            row_hand,
+            pose,
+        ],
         outputs=[rotations, origins, axes],
         device=pose.device,
     )

@@ -86,7 +86,9 @@ def _rasterize_triangles(
     width = keys_io.shape[2]
     height = keys_io.shape[1]
     left = wp.max(int(wp.ceil(wp.clamp(wp.min(ax, wp.min(bx, cx_)), -1.0, float(width)))), 0)
-    right = wp.min(int(wp.floor(wp.clamp(wp.max(ax, wp.max(bx, cx_)), -1.0, float(width)))), width - 1)
+    right = wp.min(
+        int(wp.floor(wp.clamp(wp.max(ax, wp.max(bx, cx_)), -1.0, float(width)))), width - 1
+    )
     top = wp.max(int(wp.ceil(wp.clamp(wp.min(ay, wp.min(by, cy_)), -1.0, float(height)))), 0)
     bottom = wp.min(
         int(wp.floor(wp.clamp(wp.max(ay, wp.max(by, cy_)), -1.0, float(height)))), height - 1
@@ -145,9 +147,7 @@ def render_keys(
         clear: Start from an empty buffer.
     """
     if clear:
-        wp.launch(
-            _clear_keys, dim=keys.shape, inputs=[], outputs=[keys], device=keys.device
-        )
+        wp.launch(_clear_keys, dim=keys.shape, inputs=[], outputs=[keys], device=keys.device)
     wp.launch(
         _rasterize_triangles,
         dim=(vertices.shape[0], faces.shape[0]),
@@ -159,6 +159,4 @@ def render_keys(
 
 def unpack_depth(keys: wp.array, *, depth: wp.array) -> None:
     """Depth images [m], 0 = nothing drawn, of z-buffers; both of shape (nrow, height, width)."""
-    wp.launch(
-        _unpack_depth, dim=keys.shape, inputs=[keys], outputs=[depth], device=keys.device
-    )
+    wp.launch(_unpack_depth, dim=keys.shape, inputs=[keys], outputs=[depth], device=keys.device)

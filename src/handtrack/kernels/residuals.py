@@ -1,7 +1,9 @@
 """Residuals and their compact Jacobian rows (Eq. II.23, II.27).
 
-A vertex depends on the six unknowns of the palm and at most five angles of its finger, so one row is
-eleven numbers and the finger's index; the 27-column Jacobian is never stored. The derivative is that
+A vertex depends on the six unknowns of the palm and at most five angles of its finger, so one row
+is
+eleven numbers and the finger's index; the 27-column Jacobian is never stored. The derivative is
+that
 of linear blend skinning itself, not of a vertex glued to one bone.
 """
 
@@ -111,7 +113,7 @@ def _point_rows(
     match = matches_in[rowid, slot]
     for k in range(directions):
         chains_out[rowid, slot * directions + k] = -2
-    cost = float(0.0)
+    cost = 0.0
     scale2 = robust_scale * robust_scale
     if match == -1:
         far = max_distance * max_distance
@@ -209,9 +211,9 @@ def _silhouette_rows(
     if not wp.isfinite(seen):
         return
     direction = wp.vec3(0.0)
-    residual = float(0.0)
-    scale = float(1.0)
-    weight = float(0.0)
+    residual = 0.0
+    scale = 1.0
+    weight = 0.0
     if seen > 0.0:
         gap = seen - z - front_margin
         if gap > 0.0:
@@ -222,8 +224,8 @@ def _silhouette_rows(
     else:
         # Second half of the distance transform, outwards until no column can be nearer.
         best = reach * reach + 1
-        best_row = int(0)
-        best_column = int(-1)
+        best_row = 0
+        best_column = -1
         for k in range(reach + 1):
             if k * k < best:
                 for side in range(2):
@@ -237,7 +239,7 @@ def _silhouette_rows(
                                 best_row = candidate
                                 best_column = other
         ex = float(reach)
-        ey = float(0.0)
+        ey = 0.0
         distance = float(reach)
         if best_column >= 0:
             ex = u - float(best_column)
@@ -297,7 +299,7 @@ def point_rows(
     chains: wp.array,
     costs: wp.array,
 ) -> None:
-    """Residuals of the matched points: distance to the model's tangent plane, or to the vertex itself.
+    """Residuals of the matched points: distance to the tangent plane, or to the vertex itself.
 
     Args:
         weight_bones: Bones that move each vertex, shape (nvert, 3).
@@ -307,7 +309,8 @@ def point_rows(
         angle_bones: Bone that each joint angle moves, shape (21,).
         row_hand: Hand of each row, shape (nrow,).
         points: Observed points [m], shape (nhand, n, n) vec3.
-        matches: Vertex of each sampled point, -1 none near, -2 not the hand's, shape (nrow, npoint).
+        matches: Vertex of each sampled point, -1 none near, -2 not the hand's, shape (nrow,
+            npoint).
         vertices: Vertices [m], shape (nrow, nvert) vec3.
         normals: Unit normals, shape (nrow, nvert) vec3.
         rotations: R_camera_bone, shape (nrow, nbone) mat33.
@@ -368,14 +371,15 @@ def silhouette_rows(
     chains: wp.array,
     costs: wp.array,
 ) -> None:
-    """Residuals of model vertices that the image contradicts: on the background, or before what was seen.
+    """Residuals of vertices that the image contradicts: off the silhouette, or before the surface.
 
     Args:
         weight_bones: Bones that move each vertex, shape (nvert, 3).
         weights: Skinning weights, shape (nvert, 3).
         local_vertices: Vertices in the frames of those bones [m], shape (nhand, nvert, 3) vec3.
         vertex_chains: Finger of each vertex, -1 for the palm, shape (nvert,).
-        vertex_is_hand: 0 for vertices of the forearm stub, which the terms leave out, shape (nvert,).
+        vertex_is_hand: 0 for vertices of the forearm stub, which the terms leave out, shape
+            (nvert,).
         angle_bones: Bone that each joint angle moves, shape (21,).
         row_hand: Hand of each row, shape (nrow,).
         crops: Crop parameters, shape (nhand, CROP_SIZE).

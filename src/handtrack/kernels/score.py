@@ -28,8 +28,8 @@ def _error_sums(
 ):
     # Sum of the capped differences and number of pixels of the union, over every step-th pixel.
     n = keys_in.shape[2]
-    total = float(0.0)
-    count = int(0)
+    total = 0.0
+    count = 0
     rotation = wp.transpose(rotations_in[rowid, 0])
     origin = origins_in[rowid, 0]
     cell = first
@@ -107,9 +107,7 @@ def _score_depth_tiled(
     counts = wp.tile_sum(wp.tile(count))
     if lane == 0:
         counts_out[rowid] = counts[0]
-        errors_out[rowid] = wp.where(
-            counts[0] > 0, totals[0] / float(wp.max(counts[0], 1)), cap
-        )
+        errors_out[rowid] = wp.where(counts[0] > 0, totals[0] / float(wp.max(counts[0], 1)), cap)
 
 
 @wp.kernel

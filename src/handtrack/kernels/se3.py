@@ -1,4 +1,4 @@
-"""Device maths shared by the kernels: quaternions stored w first in plain arrays, rotations, twists."""
+"""Device maths shared by the kernels: w-first quaternions in plain arrays, rotations."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def axis_rotation(axis: wp.vec3, angle: float) -> wp.mat33:
 
 @wp.func
 def quat_times_exp(q: wp.vec4, w: wp.vec3) -> wp.vec4:
-    """q * exp(w) for a w-first quaternion and a rotation vector, normalised."""
+    """Q * exp(w) for a w-first quaternion and a rotation vector, normalised."""
     angle = wp.length(w)
     half = 0.5 * angle
     # sin(a/2)/a by its series near zero, where the quotient loses digits.

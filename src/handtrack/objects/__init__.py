@@ -1,0 +1,1 @@
+"""Objects that hands grasp: meshes and distance fields."""

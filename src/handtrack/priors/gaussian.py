@@ -33,12 +33,13 @@ class GaussianPrior:
     def covariance(self) -> NDArray[np.float64]:
         """Covariance [rad^2], shape (21, 21)."""
         extra = self.variances - self.residual_variance
-        return (self.axes * extra) @ self.axes.T + self.residual_variance * np.eye(NANGLE)
+        spread = (self.axes * extra) @ self.axes.T
+        return np.asarray(spread + self.residual_variance * np.eye(NANGLE), np.float64)
 
     @property
     def precision(self) -> NDArray[np.float64]:
         """Inverse of the covariance, shape (21, 21)."""
-        return np.linalg.inv(self.covariance)
+        return np.asarray(np.linalg.inv(self.covariance), np.float64)
 
     def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
         """Draw joint angles [rad], shape (count, 21)."""

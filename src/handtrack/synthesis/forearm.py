@@ -1,4 +1,4 @@
-"""A forearm for synthesised hands: a tapered tube from the wrist to the elbow, free to bend at the wrist.
+"""A forearm for synthesised hands: a tapered tube to the elbow, free to bend at the wrist.
 
 The tracker's model has only a stub of forearm, rigid with the palm; people's wrists bend, so frames
 made for measuring must show a forearm that the model cannot explain.
@@ -19,7 +19,7 @@ GROWTH = 1.5
 
 
 def forearm_faces(first_vertex: int) -> NDArray[np.int32]:
-    """Triangles of the tube and its two caps, outward, shape (nface, 3), for vertices from `first_vertex`."""
+    """Outward triangles of tube and caps, shape (nface, 3), for vertices from `first_vertex`."""
     faces = []
     for ring in range(RINGS - 1):
         for k in range(SEGMENTS):
@@ -33,7 +33,7 @@ def forearm_faces(first_vertex: int) -> NDArray[np.int32]:
 
 
 def wrist_section(hand: ShapedHand) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Middle and half axes (y, z) [m] of the wrist's cross-section in the palm frame, shape (2,) each."""
+    """Middle and half axes (y, z) [m] of the wrist's section, palm frame, shape (2,) each."""
     # Palm-bone coordinates are palm-frame coordinates.
     slot = (hand.weight_bones == 0) & (hand.weights > 0)
     palm = hand.local_vertices[slot]

@@ -1,4 +1,4 @@
-"""Motion of a hand without its shape: 27 numbers per frame that any subject can wear, with provenance.
+"""Motion of a hand without its shape: 27 numbers per frame that any subject can wear.
 
 A frame is the palm's translation [m], its rotation vector [rad], both in the camera frame, and the
 21 joint angles [rad].

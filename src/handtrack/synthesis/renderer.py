@@ -99,7 +99,7 @@ class DepthRenderer:
         return depth, items, self._vertices.numpy()[0].astype(np.float64), faces
 
     def _draw(self, poses: NDArray, elbows: NDArray | None) -> None:
-        vertices = np.zeros(self._vertices.shape + (3,), np.float32)
+        vertices = np.zeros((*self._vertices.shape, 3), np.float32)
         vertices[: len(poses), : self.hand.nvert] = skin(self.hand, poses)
         if elbows is not None:
             for k, (pose, elbow) in enumerate(zip(poses, elbows, strict=True)):

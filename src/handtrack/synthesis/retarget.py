@@ -79,10 +79,10 @@ def _fit_lengths(hand: ShapedHand, poses: Float, keypoints: Float) -> ShapedHand
     origins, tips = hand.bone_origins.copy(), hand.tip_offsets.copy()
     for bone in range(1, NBONE):
         parent, finger = BONE_PARENTS[bone], (bone - 1) // 3
-        here = keypoints[:, bone + finger] if bone > 1 else None
+        if bone == BASE_BONES[0]:  # the thumb's base is not recorded as ours; leave it
+            continue
+        here = keypoints[:, bone + finger]
         if bone in BASE_BONES:
-            if here is None:  # the thumb's base is not recorded as ours; leave it
-                continue
             local = np.swapaxes(rotations[:, 0], 1, 2) @ (here - poses[:, :3])[..., None]
             origins[bone] = np.nanmean(local[..., 0], axis=0)
         else:

@@ -27,7 +27,7 @@ CAMERAS: dict[str, Camera] = {
     "realsense": Camera(width=640, height=480, fx=475.1, fy=475.1, cx=315.9, cy=245.3),
     "primesense": Camera(width=640, height=480, fx=588.03, fy=587.07, cx=320.0, cy=240.0),
 }
-"""Cameras of the MSRA (Creative Gesture Camera), SR305 (RealSense) and NYU (PrimeSense) recordings."""
+"""Cameras of the MSRA (Creative), SR305 (RealSense) and NYU (PrimeSense) recordings."""
 
 _BATCH = 16
 
@@ -121,4 +121,4 @@ def frames_out_of_view(motion: Motion, hand: ShapedHand, camera: Camera) -> NDAr
     size = np.array([camera.width, camera.height])
     # NaN, a point behind the camera, is not inside.
     inside = (pixels > -0.5) & (pixels < size - 0.5)
-    return ~inside.all(axis=(1, 2))
+    return np.logical_not(np.all(inside, axis=(1, 2)))

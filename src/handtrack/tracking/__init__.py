@@ -1,0 +1,1 @@
+"""Memory over frames: trackers, their states and results."""

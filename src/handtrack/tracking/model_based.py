@@ -1,4 +1,4 @@
-"""Model-based tracking: refine the previous pose on each frame (thesis II.5.2), needs a first pose."""
+"""Model-based tracking: refine the previous pose on each frame (thesis II.5.2)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class ModelBasedConfig:
     rescue_error: float = 0.008
     """Depth error above which restarts are tried [m]."""
     rescue_gain: float = 0.9
-    """A restart replaces the tracked pose when its depth error is below so much of the tracked one's."""
+    """A restart replaces the tracked pose when its depth error is below so much of the tracked
+    one's."""
     lost_error: float = 0.02
     """tau of Eq. II.19: depth error above which the hand counts as lost [m]."""
 
@@ -46,8 +47,8 @@ class ModelBasedConfig:
             raise InputError(f"velocity is {self.velocity}; expected 0 to 2")
         if self.rescue_rows < 0 or not 0 < self.rescue_gain <= 1 or self.rescue_error <= 0:
             raise InputError(
-                f"rescue_rows, rescue_gain, rescue_error are {self.rescue_rows}, {self.rescue_gain},"
-                f" {self.rescue_error}; expected >= 0, 0 to 1 and > 0"
+                f"rescue_rows, rescue_gain, rescue_error are {self.rescue_rows},"
+                f" {self.rescue_gain}, {self.rescue_error}; expected >= 0, 0 to 1 and > 0"
             )
         if not 0 < self.lost_error <= self.fit.score_cap:
             raise InputError(

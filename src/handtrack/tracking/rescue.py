@@ -1,6 +1,7 @@
 """Start poses for a hand that is no longer explained: fingers re-set at random, palm shaken.
 
-Model-based tracking ends in a local minimum when fingers are confused or the palm has slid along the
+Model-based tracking ends in a local minimum when fingers are confused or the palm has slid along
+the
 forearm; other starts around the last pose find the way back (random restarts as in Qian et al.,
 "Realtime and robust hand tracking from depth", CVPR 2014).
 """
@@ -29,7 +30,8 @@ RESET_CHANCE = 0.6
 """Share of fingers that are re-set in one start."""
 
 SLIDES = (0.0, 0.0, 0.02, 0.04, -0.02)
-"""Displacements of the palm along itself [m]; the palm slides onto the forearm more often than off it."""
+"""Displacements of the palm along itself [m]; the palm slides onto the forearm more often than off
+it."""
 
 PALM_SPREAD, PALM_TURN, ANGLE_SPREAD = 0.005, 0.25, 0.1
 """Deviations of the palm's place [m], its direction [rad] and the joint angles [rad]."""

@@ -36,9 +36,11 @@ class HandResult:
     side: Side
     """Which hand."""
     pose: NDArray[np.float64]
-    """Translation [m] 3, unit quaternion w x y z, joint angles [rad] 21; shape (28,). With NO_HAND all NaN."""
+    """Translation [m] 3, unit quaternion w x y z, joint angles [rad] 21; shape (28,). With NO_HAND
+    all NaN."""
     depth_error: float
-    """Mean capped depth difference between the rendered hand and the image [m] (Eq. II.19); NaN without one."""
+    """Mean capped depth difference between the rendered hand and the image [m] (Eq. II.19); NaN
+    without one."""
     hand: ShapedHand = field(repr=False)
     """The hand whose pose it is."""
     problem: str | None = None

@@ -13,7 +13,7 @@ from handtrack.camera.frame import check_depth
 from handtrack.errors import InputError
 from handtrack.hand.model import HandModel
 from handtrack.hand.shape import HandShape
-from handtrack.hand.side import check_side
+from handtrack.hand.side import Side, check_side
 from handtrack.hand.skeleton import NQ
 from handtrack.tracking.model_based import (
     THESIS_TRACKER,
@@ -67,11 +67,16 @@ class HandTracker:
         """
         if tracker not in TRACKERS:
             raise InputError(f"tracker is {tracker!r}; expected one of {', '.join(TRACKERS)}")
-        self.camera, self.side, self.seed = camera, check_side(side), seed
+        self.camera, self.seed = camera, seed
+        self.side: Side = check_side(side)
         self.hand = (model if model is not None else HandModel.load()).shaped(shape, side=side)
         self._tracker = TrackerModelBased(
-            self.hand, camera, config=config or TRACKERS[tracker], device=device,
-            seed=seed, graph=graph,
+            self.hand,
+            camera,
+            config=config or TRACKERS[tracker],
+            device=device,
+            seed=seed,
+            graph=graph,
         )
         self._buffer = np.zeros(camera.shape, np.float32)
         self._state = TrackState.NO_HAND
@@ -91,7 +96,8 @@ class HandTracker:
         """Find the hand in the next frame.
 
         Args:
-            depth: Depth image [m], shape (height, width) of the camera, 0 = no measurement. Anything
+            depth: Depth image [m], shape (height, width) of the camera, 0 = no measurement.
+                Anything
                 else is answered with LOST or NO_HAND and a `problem`.
 
         Returns:

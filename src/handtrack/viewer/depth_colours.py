@@ -58,7 +58,7 @@ def colour_depth(depth: ArrayLike, near: float, far: float, *, grey: bool = Fals
     bright = 1.0 - (1.0 - _DARKEST) * np.clip((z - near) / (far - near), 0.0, 1.0)
     levels = np.rint(255 * bright).astype(np.uint8)
     # The maps of Smith and van der Walt rise evenly in perceived lightness.
-    picture = _GREYS[levels] if grey else cv2.applyColorMap(levels, cv2.COLORMAP_MAGMA)
+    picture = (_GREYS if grey else _COLOURS)[levels]
     picture[z <= 0] = EMPTY_COLOUR
     return picture
 
@@ -72,3 +72,5 @@ def _greys() -> Image:
 
 
 _GREYS = _greys()
+_RAMP = np.arange(256, dtype=np.uint8)[:, None]
+_COLOURS: Image = np.asarray(cv2.applyColorMap(_RAMP, cv2.COLORMAP_MAGMA), np.uint8)[:, 0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -271,11 +272,11 @@ def draw_skeleton(
     for finger in range(len(FINGERS)):
         chain = [0, *range(1 + 4 * finger, 5 + 4 * finger)]
         colour = (150, 150, 150) if faded else FINGER_COLOURS[finger]
-        for a, b in zip(chain, chain[1:], strict=False):
+        for a, b in pairwise(chain):
             if np.isfinite(pixels[[a, b]]).all():
-                ends = [_subpixel(pixels[k], picture) for k in (a, b)]
+                start, end = _subpixel(pixels[a], picture), _subpixel(pixels[b], picture)
                 for width, ink in ((line + 2, (25, 25, 25)), (line, colour)):
-                    cv2.line(picture, *ends, ink, width, cv2.LINE_AA, _SUBPIXEL_BITS)
+                    cv2.line(picture, start, end, ink, width, cv2.LINE_AA, _SUBPIXEL_BITS)
     for k in np.argsort([k == 0 for k in range(21)], kind="stable"):
         if not np.isfinite(pixels[k]).all():
             continue
@@ -298,9 +299,12 @@ def draw_lines(picture: Image, lines: Sequence[tuple[str, Colour]]) -> None:
     """
     size = 0.52 * max(0.7, min(picture.shape[:2]) / 480)
     for row, (text, colour) in enumerate(lines):
-        place = (round(24 * size), round((46 + 42 * row) * size))
-        for width, ink in ((4, (20, 20, 20)), (1, colour)):
-            cv2.putText(picture, text, place, _FONT, size, ink, width, cv2.LINE_AA)
+        left, base = round(24 * size), round((46 + 42 * row) * size)
+        # A thicker stroke of some OpenCV fonts is wider too, so the ground is the text moved about.
+        for dx, dy in ((-1, -1), (-1, 1), (1, -1), (1, 1), (2, 2)):
+            place = (left + dx, base + dy)
+            cv2.putText(picture, text, place, _FONT, size, (20, 20, 20), 1, cv2.LINE_AA)
+        cv2.putText(picture, text, (left, base), _FONT, size, colour, 1, cv2.LINE_AA)
 
 
 def contact_sheet(pictures: Sequence[Image], columns: int, *, gap: int = 4) -> Image:

@@ -1,4 +1,4 @@
-"""Suite `ablation`: the tracker with every switch changed against its default, one after the other."""
+"""Suite `ablation`: the tracker with every switch changed against its default, one by one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from handtrack.errors import InputError, MissingFileError
 from handtrack.evaluation.runner import bench_case, join_runs
 from handtrack.evaluation.suites.subjects import (
     SubjectFrames,
-    common_case_facts,
+    case_facts,
     render_subject,
     track_subject,
 )
@@ -57,7 +57,7 @@ def _cases(
             )
             for subject in subjects
         ]  # fmt: skip
-        facts = common_case_facts(settings, data["subjects"], stride)
+        facts = case_facts(settings, data["subjects"], stride)
         case = f"{name}/stride-{stride}"
         found.append(bench_case(join_runs(runs), case=case, tracker=tracker, **facts))
     return found
@@ -93,7 +93,9 @@ def changed(config: ModelBasedConfig, changes: Mapping[str, Any]) -> ModelBasedC
     }
     for key in changes:
         if key not in known:
-            raise InputError(f"an ablation changes {key!r}: expected one of {', '.join(sorted(known))}")
+            raise InputError(
+                f"an ablation changes {key!r}: expected one of {', '.join(sorted(known))}"
+            )
     values = {key: _value(config, value) for key, value in changes.items()}
     inner = {key.removeprefix(FIT): value for key, value in values.items() if key.startswith(FIT)}
     outer = {key: value for key, value in values.items() if not key.startswith(FIT)}

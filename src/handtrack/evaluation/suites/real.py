@@ -104,7 +104,9 @@ def _labelled(path: Path) -> DepthFrame:
     if frame.problem is not None:
         raise MissingFileError(f"{path} cannot be used: {frame.problem}")
     if frame.truth is None or frame.truth.joints is None or frame.truth.joint_set != JOINT_SET:
-        raise InputError(f"{path} carries no {JOINT_SET} joints in {path.with_suffix('.json').name}")
+        raise InputError(
+            f"{path} carries no {JOINT_SET} joints in {path.with_suffix('.json').name}"
+        )
     return frame
 
 

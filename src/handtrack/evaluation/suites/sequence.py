@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from handtrack.camera.frame import DepthFrame
-
 from handtrack.errors import InputError
 from handtrack.evaluation.runner import bench_case, run_tracker
 from handtrack.evaluation.suites.suite import Overlay, SuiteResult, SuiteSettings, chosen

@@ -31,7 +31,8 @@ _STAGED_FRAMES = 20
 """Frames on which stages are timed."""
 
 _STAGED_ROWS = 1024
-"""So many rows at most are staged in sum, so that many hypotheses do not take many times as long."""
+"""So many rows at most are staged in sum, so that many hypotheses do not take many times as
+long."""
 
 
 def speed_suite(settings: SuiteSettings, cases: Mapping[str, Any]) -> SuiteResult:

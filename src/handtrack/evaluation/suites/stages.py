@@ -15,7 +15,6 @@ import warp as wp
 
 from handtrack.errors import InputError
 from handtrack.fitting.fitter import Fitter
-from handtrack.fitting.workspace import RowArrays
 
 NAMES: dict[str, str] = {
     "pose": "kinematics+skinning", "match": "correspondences", "system": "normal equations",
@@ -54,8 +53,11 @@ class StagedFitter(Fitter):
             Time spent per stage [ms].
         """
         if self._stages is None:
+            poses = self.poses
+            # Kernels must be loaded before they are captured.
             self.run()
             self._stages = self._record()
+            self.rows.pose.assign(poses)
         spent: dict[str, float] = {}
         wp.synchronize_device(self.device)
         for name, graphs in self._stages:
@@ -72,7 +74,9 @@ class StagedFitter(Fitter):
     def _record(self) -> list[tuple[str, list[wp.Graph]]]:
         """Capture every stage of the frame: name, and one graph per thread."""
         prepare = self._captured(self._launch_prepare)
-        parts = [self._captured(lambda part=part: self._launch_refine(part)) for part in self._splits]
+        parts = [
+            self._captured(lambda part=part: self._launch_refine(part)) for part in self._splits
+        ]
         stages = [(name, [graph]) for name, graph in prepare]
         for same in zip(*parts, strict=True):
             if len({name for name, _ in same}) > 1:

@@ -1,4 +1,4 @@
-"""Subjects of the synthetic suites: a recorded motion, worn by a drawn hand, seen by a noisy camera."""
+"""Subjects of the synthetic suites: recorded motion, worn by a drawn hand, seen by a camera."""
 
 from __future__ import annotations
 
@@ -114,6 +114,6 @@ def track_subject(
     return run_tracker(made, frames, starts, progress=settings.progress, text=text or tracker)
 
 
-def common_case_facts(settings: SuiteSettings, subjects: Sequence[int], stride: int) -> dict[str, Any]:
+def case_facts(settings: SuiteSettings, subjects: Sequence[int], stride: int) -> dict[str, Any]:
     """Entries of a case that say what was tracked."""
     return {"subjects": list(subjects), "stride": stride, "shape": settings.shape}

@@ -61,7 +61,8 @@ class SuiteSettings:
     seed: int = 0
     """Seed of the sensor noise and of the trackers."""
     quick: bool = False
-    """Run the small part of the suite that its file in `benchmarks/` names, to see that it works."""
+    """Run the small part of the suite that its file in `benchmarks/` names, to see that it
+    works."""
     shape: Literal["given", "mean"] = "given"
     """Whether trackers know the subject's shape or take the mean hand."""
     data: Path | None = None

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from handtrack.evaluation.runner import Run, bench_case, join_runs
-from handtrack.evaluation.suites.subjects import common_case_facts, render_subject, track_subject
+from handtrack.evaluation.suites.subjects import case_facts, render_subject, track_subject
 from handtrack.evaluation.suites.suite import SuiteResult, SuiteSettings, chosen, judged
 from handtrack.hand.model import HandModel
 
@@ -31,12 +31,12 @@ def tracking_suite(settings: SuiteSettings, cases: Mapping[str, Any]) -> SuiteRe
     for tracker in data["trackers"]:
         for number, seed in enumerate(data["subjects"]):
             for stride in data["strides"]:
-                facts = common_case_facts(settings, [seed], stride)
+                facts = case_facts(settings, [seed], stride)
                 case = f"subject-{number}/stride-{stride}"
                 run = runs[tracker, stride, seed]
                 found.append(bench_case(run, case=case, tracker=tracker, **facts))
         for stride in data["strides"]:
-            facts = common_case_facts(settings, data["subjects"], stride)
+            facts = case_facts(settings, data["subjects"], stride)
             run = join_runs([runs[tracker, stride, seed] for seed in data["subjects"]])
             case = f"all/stride-{stride}"
             found.append(bench_case(run, case=case, tracker=tracker, **facts))
