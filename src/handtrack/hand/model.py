@@ -1,13 +1,13 @@
 """The parametric hand: template, skeleton, skin and shape space (thesis II.3, Eq. II.1-II.9).
 
 `HandModel` is the artifact; `HandModel.shaped` gives the `ShapedHand` of one person, which is all
-that
-kinematics, rendering and fitting need.
+that kinematics, rendering and fitting need.
 """
 
 from __future__ import annotations
 
 import zipfile
+import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -141,7 +141,7 @@ class HandModel:
                         f" {FORMAT_VERSION}"
                     )
                 arrays = {f.name: np.asarray(data[f.name]) for f in fields(cls)}
-        except (KeyError, OSError, EOFError, zipfile.BadZipFile, ValueError) as error:
+        except (KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error, ValueError) as error:
             if isinstance(error, DamagedFileError):
                 raise
             raise DamagedFileError(f"{path} is not a hand model: {error}") from error

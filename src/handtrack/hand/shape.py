@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -62,5 +63,5 @@ class HandShape:
         try:
             with np.load(path, allow_pickle=False) as data:
                 return cls(alpha=data["alpha"], beta=data["beta"], scale=float(data["scale"]))
-        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise DamagedFileError(f"{path} is not a hand shape file: {error}") from error

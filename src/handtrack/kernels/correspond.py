@@ -1,8 +1,7 @@
 """Correspondences from observed points to facing model vertices, by a windowed search (II.5.2.1).
 
 Vertices that face the camera, seen or hidden, are sorted into square bins of the crop; a point
-looks
-only into the bins around its own.
+looks only into the bins around its own.
 """
 
 from __future__ import annotations
@@ -105,7 +104,7 @@ def _match_points(
     )
     cell = RAY_COSINE * z / crops_in[hand, 0]
     best = max_distance * max_distance
-    match = -1
+    match = int(-1)
     for ring in range(window + 1):
         # Vertices of farther rings lie on rays that pass the point at a distance.
         apart = cell * (float((ring - 1) * bin_size + edge) + 0.5)

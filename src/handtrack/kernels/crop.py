@@ -1,8 +1,7 @@
 """From the depth image to what fitting reads: a metric crop, its points and its silhouette.
 
 The crop is a virtual camera: a square grid of cells laid over the hand, each cell showing the
-nearest
-pixel. Cells keep about the same size in metres at any distance and for any camera.
+nearest pixel. Cells keep about the same size in metres at any distance and for any camera.
 """
 
 from __future__ import annotations
@@ -34,9 +33,8 @@ def _crop_depth(
     """One cell of one hand: z and point, smoothed over the pixels around the nearest one.
 
     0 is background (nothing measured, or something farther than the hand may be), infinity is
-    unknown
-    (outside the image, hidden by something nearer than the hand may be, or a stray pixel at an
-    edge).
+    unknown (outside the image, hidden by something nearer than the hand may be, or a stray pixel at
+    an edge).
     """
     hand, row, column = wp.tid()
     x = int(wp.floor(crops_in[hand, 4] + crops_in[hand, 6] * float(column) + 0.5))
@@ -49,9 +47,9 @@ def _crop_depth(
     radius = gates_in[hand, 3]
     z = depth_in[hand, y, x]
     nearest = float(wp.inf)
-    total = 0.0
-    number = 0
-    around = 0
+    total = float(0.0)
+    number = int(0)
+    around = int(0)
     for j in range(-1, 2):
         for i in range(-1, 2):
             if (
@@ -77,8 +75,8 @@ def _crop_depth(
             cells_out[hand, row, column] = 0.0
             return
         # A hole inside a surface: take the neighbours' depth where they agree.
-        total = 0.0
-        number = 0
+        total = float(0.0)
+        number = int(0)
         for j in range(-1, 2):
             for i in range(-1, 2):
                 if (
@@ -115,13 +113,13 @@ def _scan_columns(
     """One column of one hand: per cell the row of the column's nearest foreground cell or -1."""
     hand, column = wp.tid()
     rows = cells_in.shape[1]
-    last = -1
+    last = int(-1)
     for row in range(rows):
         z = cells_in[hand, row, column]
         if z > 0.0:
             last = row
         nearest_out[hand, row, column] = last
-    last = -1
+    last = int(-1)
     for back in range(rows):
         row = rows - 1 - back
         above = nearest_out[hand, row, column]

@@ -19,7 +19,7 @@ def _log_rotation(r: wp.mat33) -> wp.vec3:
     s = 0.5 * wp.length(axis)
     c = 0.5 * (r[0, 0] + r[1, 1] + r[2, 2] - 1.0)
     angle = wp.atan2(s, c)
-    k = 0.5
+    k = float(0.5)
     if s > 1.0e-5:
         k = 0.5 * angle / s
     return k * axis
@@ -47,9 +47,9 @@ def _add_pose_terms(
     """One unknown of one row: smoothness (II.24), joint limits (II.25), Gaussian prior."""
     rowid, i = wp.tid()
     smooth = smooth_in[row_hand_in[rowid], i]
-    cost = 0.0
+    cost = float(0.0)
     h = smooth
-    moved = 0.0
+    moved = float(0.0)
     if i < 3:
         moved = pose_in[rowid, i] - reference_in[rowid, i]
     elif i < 6:
@@ -70,7 +70,7 @@ def _add_pose_terms(
             g += limit_weight * over
             cost += limit_weight * over * over
         if prior_weight > 0.0:
-            pull = 0.0
+            pull = float(0.0)
             for b in range(prior_mean_in.shape[0]):
                 p = prior_weight * prior_precision_in[a, b]
                 pull += p * (pose_in[rowid, 7 + b] - prior_mean_in[b])
@@ -104,8 +104,8 @@ def _place_spheres(
 @wp.func
 def _angle_range(bone: int) -> wp.vec2i:
     # First joint angle of a finger bone's chain and one past the last angle that moves the bone.
-    first = 0
-    last = 0
+    first = int(0)
+    last = int(0)
     if bone >= 1 and bone <= 3:
         last = wp.min(2 * bone, 5)
     elif bone > 3:
@@ -136,7 +136,7 @@ def _add_collisions(
     """One row: push apart the spheres of different fingers that overlap."""
     rowid = wp.tid()
     hand = row_hand_in[rowid]
-    cost = 0.0
+    cost = float(0.0)
     for pair in range(pairs_in.shape[0]):
         sa = pairs_in[pair, 0]
         sb = pairs_in[pair, 1]
@@ -191,7 +191,7 @@ def _pair_entry(
     angle = _pair_angle(i, ra, rb)
     axis = axes_in[rowid, angle]
     origin = origins_in[rowid, angle_bones_in[angle]]
-    d = 0.0
+    d = float(0.0)
     if i < ra[1] - ra[0]:
         d = wp.dot(n, wp.cross(axis, ca - origin))
     else:

@@ -1,10 +1,8 @@
 """Residuals and their compact Jacobian rows (Eq. II.23, II.27).
 
 A vertex depends on the six unknowns of the palm and at most five angles of its finger, so one row
-is
-eleven numbers and the finger's index; the 27-column Jacobian is never stored. The derivative is
-that
-of linear blend skinning itself, not of a vertex glued to one bone.
+is eleven numbers and the finger's index; the 27-column Jacobian is never stored. The derivative is
+that of linear blend skinning itself, not of a vertex glued to one bone.
 """
 
 from __future__ import annotations
@@ -113,7 +111,7 @@ def _point_rows(
     match = matches_in[rowid, slot]
     for k in range(directions):
         chains_out[rowid, slot * directions + k] = -2
-    cost = 0.0
+    cost = float(0.0)
     scale2 = robust_scale * robust_scale
     if match == -1:
         far = max_distance * max_distance
@@ -211,9 +209,9 @@ def _silhouette_rows(
     if not wp.isfinite(seen):
         return
     direction = wp.vec3(0.0)
-    residual = 0.0
-    scale = 1.0
-    weight = 0.0
+    residual = float(0.0)
+    scale = float(1.0)
+    weight = float(0.0)
     if seen > 0.0:
         gap = seen - z - front_margin
         if gap > 0.0:
@@ -224,8 +222,8 @@ def _silhouette_rows(
     else:
         # Second half of the distance transform, outwards until no column can be nearer.
         best = reach * reach + 1
-        best_row = 0
-        best_column = -1
+        best_row = int(0)
+        best_column = int(-1)
         for k in range(reach + 1):
             if k * k < best:
                 for side in range(2):
@@ -239,7 +237,7 @@ def _silhouette_rows(
                                 best_row = candidate
                                 best_column = other
         ex = float(reach)
-        ey = 0.0
+        ey = float(0.0)
         distance = float(reach)
         if best_column >= 0:
             ex = u - float(best_column)

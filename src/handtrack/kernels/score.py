@@ -28,8 +28,8 @@ def _error_sums(
 ):
     # Sum of the capped differences and number of pixels of the union, over every step-th pixel.
     n = keys_in.shape[2]
-    total = 0.0
-    count = 0
+    total = float(0.0)
+    count = int(0)
     rotation = wp.transpose(rotations_in[rowid, 0])
     origin = origins_in[rowid, 0]
     cell = first

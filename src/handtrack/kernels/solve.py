@@ -80,7 +80,7 @@ def _sum_costs(
 ):
     """One row: sum of its costs."""
     rowid = wp.tid()
-    total = 0.0
+    total = float(0.0)
     for slot in range(costs_in.shape[1]):
         total += costs_in[rowid, slot]
     totals_out[rowid] = total
@@ -95,7 +95,7 @@ def _sum_costs_tiled(
 ):
     """One row, a block of threads each: sum of its costs, lanes summed in a fixed order."""
     rowid, lane = wp.tid()
-    total = 0.0
+    total = float(0.0)
     slot = lane
     while slot < costs_in.shape[1]:
         total += costs_in[rowid, slot]
@@ -108,7 +108,7 @@ def _sum_costs_tiled(
 @wp.func
 def _angle_chain(unknown: int) -> int:
     # Finger whose joint angle an unknown is; -1 for the palm's six.
-    chain = -1
+    chain = int(-1)
     if unknown >= 6:
         chain = wp.where(unknown < 11, 0, (unknown - 7) // 4)
     return chain
@@ -136,7 +136,7 @@ def _assemble_data(
     rowid, i = wp.tid()
     chain = _angle_chain(i)
     local = _angle_local(i)
-    g = 0.0
+    g = float(0.0)
     for c in range(hessians_in.shape[1]):
         if chain < 0 or chain == c:
             g += gradients_in[rowid, c][local]
@@ -144,7 +144,7 @@ def _assemble_data(
     for j in range(hessian_out.shape[2]):
         other = _angle_chain(j)
         other_local = _angle_local(j)
-        h = 0.0
+        h = float(0.0)
         for c in range(hessians_in.shape[1]):
             if (chain < 0 or chain == c) and (other < 0 or other == c):
                 h += hessians_in[rowid, c][local, other_local]
@@ -266,8 +266,8 @@ def _apply_step(
 ):
     """One row: pose minus the Newton step on the manifold, as a whole no longer than allowed."""
     rowid = wp.tid()
-    largest = 1.0
-    finite = True
+    largest = float(1.0)
+    finite = bool(True)
     for i in range(NV):
         s = wp.abs(step_in[rowid, i])
         limit = max_angle

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,5 +93,5 @@ class GaussianPrior:
                     mean=data["mean"], axes=data["axes"], variances=data["variances"],
                     residual_variance=float(data["residual_variance"]),
                 )  # fmt: skip
-        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise DamagedFileError(f"{path} is not a pose prior: {error}") from error

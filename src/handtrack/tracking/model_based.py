@@ -124,11 +124,15 @@ class TrackerModelBased:
         self._motion = np.zeros(27)
         self._rng = np.random.default_rng(self._seed)
 
-    def step(self, depth: NDArray[np.float32]) -> Estimate:
+    def step(
+        self, depth: NDArray[np.float32], *, fallback: NDArray[np.float64] | None = None
+    ) -> Estimate:
         """Follow the hand into the next frame.
 
         Args:
             depth: Clean depth image [m], shape (height, width).
+            fallback: Pose to try beside the last one instead of the predicted one, shape (28,); for
+                frames after a loss, whose motion means nothing.
 
         Returns:
             The best hypothesis.
@@ -136,8 +140,9 @@ class TrackerModelBased:
         clock = [time.perf_counter()]
         pose = self._pose
         assert pose is not None, "start first"
-        predicted = apply_increment(pose, self.config.velocity * self._motion)
-        starts = np.stack([pose, predicted][: self._nhyp])
+        if fallback is None:
+            fallback = apply_increment(pose, self.config.velocity * self._motion)
+        starts = np.stack([pose, fallback][: self._nhyp])
         clock.append(time.perf_counter())
         found, error = self._refine(self._fitter, depth, starts)
         clock.append(time.perf_counter())

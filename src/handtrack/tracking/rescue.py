@@ -1,8 +1,7 @@
 """Start poses for a hand that is no longer explained: fingers re-set at random, palm shaken.
 
 Model-based tracking ends in a local minimum when fingers are confused or the palm has slid along
-the
-forearm; other starts around the last pose find the way back (random restarts as in Qian et al.,
+the forearm; other starts around the last pose find the way back (random restarts as in Qian et al.,
 "Realtime and robust hand tracking from depth", CVPR 2014).
 """
 

@@ -114,11 +114,11 @@ class HandTracker:
             # The next good frame goes on from the last good pose, at rest.
             self._tracker.start(self._good)
             return self._result(self._state, self._good, np.nan, problem, {"check": checked})
-        estimate = self._tracker.step(clean)
+        lost = self._state is TrackState.LOST
+        estimate = self._tracker.step(clean, fallback=self._good if lost else None)
         timings = {"check": checked, **estimate.timings}
         found = estimate.depth_error < self._tracker.config.lost_error
         if found:
-            lost = self._state is TrackState.LOST
             self._state = TrackState.RECOVERED if lost else TrackState.TRACKING
             self._good = estimate.pose
         else:
