@@ -49,7 +49,6 @@ def test_values_out_of_range_are_told(name: str, value: float) -> None:
     [
         {"crop_cells": 95},
         {"crop_cells": 8},
-        {"crop_cells": 0},
         {"crop_cells": 96, "bin_cells": 5},
         {"crop_cells": 96, "point_stride": 7},
         {"crop_cells": 96, "score_scale": 5},
@@ -69,7 +68,15 @@ def test_a_divisor_of_zero_is_told(name: str) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["max_translation", "max_rotation", "max_angle", "crop_span", "robust_scale", "robust_start"],
+    [
+        "crop_cells",
+        "crop_span",
+        "robust_scale",
+        "robust_start",
+        "max_translation",
+        "max_rotation",
+        "max_angle",
+    ],
 )
 def test_a_length_that_must_be_positive_is_told(name: str) -> None:
     with pytest.raises(InputError, match=f"FitConfig.{name}"):

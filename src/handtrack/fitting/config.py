@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -9,6 +10,11 @@ import numpy as np
 from handtrack.errors import InputError
 
 _SIGNED = ("min_cosine", "wrist_cut")
+_POSITIVE = (
+    "crop_cells", "crop_span", "gate_radius", "point_stride", "bin_cells", "max_distance",
+    "robust_scale", "robust_start", "silhouette_scale", "front_scale", "max_translation",
+    "max_rotation", "max_angle", "score_scale", "score_cap",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,6 +106,9 @@ class FitConfig:
 
     def robust_scales(self) -> list[float]:
         """Scale of the registration term's robust weight in each iteration [m]."""
+        if self.levenberg:
+            # Energies of different scales do not compare.
+            return [self.robust_scale] * self.iterations
         return np.geomspace(self.robust_start, self.robust_scale, self.iterations).tolist()
 
     def __post_init__(self) -> None:
@@ -110,9 +119,20 @@ class FitConfig:
         """
         for field in fields(self):
             value = getattr(self, field.name)
-            if not np.isfinite(value) or (value < 0 and field.name not in _SIGNED):
+            whole = isinstance(value, numbers.Integral)
+            kind = "whole" if isinstance(field.default, int) else "finite"
+            if not (
+                isinstance(value, numbers.Real)
+                and np.isfinite(value)
+                and (whole or not isinstance(field.default, int))
+                and (value >= 0 or field.name in _SIGNED)
+                and (value > 0 or field.name not in _POSITIVE)
+            ):
+                least = (
+                    "" if field.name in _SIGNED else " > 0" if field.name in _POSITIVE else " >= 0"
+                )
                 raise InputError(
-                    f"FitConfig.{field.name} is {value}; expected a finite number >= 0"
+                    f"FitConfig.{field.name} is {value!r}; expected a {kind} number{least}"
                 )
         divisor = np.lcm(self.bin_cells, np.lcm(self.point_stride, self.score_scale))
         if self.crop_cells < 16 or self.crop_cells % divisor:

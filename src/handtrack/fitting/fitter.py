@@ -72,11 +72,16 @@ class Fitter:
             threads: Host threads on the CPU; None takes one per core, at most one per row.
 
         Raises:
-            InputError: The prior is missing, or there is no hand or hypothesis.
+            InputError: The prior is missing, there is no hand or hypothesis, or the hands are not
+                all of one side and mesh.
         """
         self.config = config if config is not None else FitConfig()
         if not hands or nhyp < 1:
             raise InputError(f"got {len(hands)} hands and {nhyp} hypotheses; expected at least one")
+        if len({(hand.side, hand.nvert) for hand in hands}) > 1:
+            raise InputError(
+                "hands differ in side or mesh; make one Fitter for the right and one for the left"
+            )
         if self.config.prior_weight > 0 and prior is None:
             raise InputError("prior_weight > 0 needs a GaussianPrior; pass prior=")
         self.device = resolve_device(device)
@@ -126,8 +131,13 @@ class Fitter:
         self.image.smooth.assign(weights)
 
     def load_depth(self, depth: ArrayLike) -> None:
-        """Copy depth images [m], shape (nhand, height, width) or (height, width), to the device."""
-        self.image.depth.assign(np.asarray(depth, np.float32).reshape(self.image.depth.shape))
+        """Copy depth images [m], shape (nhand, height, width) or (height, width), to the device.
+
+        Raises:
+            InputError: The images have another shape.
+        """
+        depth = _shaped("depth", depth, self.image.depth.shape, np.float32)
+        self.image.depth.assign(depth)
 
     def place(self, centres: ArrayLike) -> None:
         """Lay each hand's crop and gate around where the hand is expected.
@@ -135,7 +145,7 @@ class Fitter:
         Args:
             centres: Expected middle of each hand [m], camera frame, shape (nhand, 3).
         """
-        centres = np.asarray(centres, np.float64).reshape(self.nhand, 3)
+        centres = _shaped("centres", centres, (self.nhand, 3), np.float64)
         camera, config = self.camera, self.config
         n = config.crop_cells
         z = np.maximum(centres[:, 2], 0.05)
@@ -161,10 +171,12 @@ class Fitter:
             poses: Shape (nrow, 28).
             references: Shape (nrow, 28).
         """
-        poses = np.asarray(poses, np.float32).reshape(self.nrow, NQ)
-        references = poses if references is None else np.asarray(references, np.float32)
+        poses = _shaped("poses", poses, (self.nrow, NQ), np.float32)
+        if references is None:
+            references = poses
+        references = _shaped("references", references, (self.nrow, NQ), np.float32)
         self.rows.pose.assign(poses)
-        self.rows.reference.assign(references.reshape(self.nrow, NQ))
+        self.rows.reference.assign(references)
 
     def run(self) -> None:
         """Refine all rows against the loaded images and score them."""
@@ -205,12 +217,24 @@ class Fitter:
         config = self.config
         rows.damping.fill_(config.damping)
         rows.best_totals.fill_(float("inf"))
+        # What is kept before the first step: the start itself, with nothing to step along.
+        wp.copy(rows.best_pose, rows.pose)
+        rows.best_hessian.zero_()
+        rows.best_gradient.zero_()
         for robust_scale in config.robust_scales():
             self._launch_pose(rows)
             self._launch_match(rows)
             self._launch_residuals(rows, robust_scale)
             self._launch_system(rows)
             self._launch_step(rows)
+        if config.levenberg:
+            # Judge the last step too, and hand back the best pose.
+            self._launch_pose(rows)
+            self._launch_match(rows)
+            self._launch_residuals(rows, config.robust_scale)
+            self._launch_system(rows)
+            self._launch_judgement(rows)
+            wp.copy(rows.pose, rows.best_pose)
         self._launch_pose(rows)
         self._launch_score(rows)
 
@@ -293,18 +317,21 @@ class Fitter:
                 hessian=rows.hessian, gradient=rows.gradient, costs=rows.costs,
             )  # fmt: skip
 
+    def _launch_judgement(self, rows: RowArrays) -> None:
+        solve.sum_costs(rows.costs, totals=rows.totals)
+        solve.judge_step(
+            rows.totals, rows.pose, rows.hessian, rows.gradient,
+            shrink=0.5, grow=4.0, least=1e-4, most=1e3, best_totals=rows.best_totals,
+            damping=rows.damping, best_pose=rows.best_pose, best_hessian=rows.best_hessian,
+            best_gradient=rows.best_gradient,
+        )  # fmt: skip
+
     def _launch_step(self, rows: RowArrays) -> None:
         config = self.config
         start, hessian, gradient = rows.pose, rows.hessian, rows.gradient
         if config.levenberg:
-            solve.sum_costs(rows.costs, totals=rows.totals)
+            self._launch_judgement(rows)
             start, hessian, gradient = rows.best_pose, rows.best_hessian, rows.best_gradient
-            solve.judge_step(
-                rows.totals, rows.pose, rows.hessian, rows.gradient,
-                shrink=0.5, grow=4.0, least=1e-4, most=1e3, best_totals=rows.best_totals,
-                damping=rows.damping, best_pose=start, best_hessian=hessian,
-                best_gradient=gradient,
-            )  # fmt: skip
         solve.solve_step(
             hessian, gradient, rows.damping, self._floors, start,
             max_translation=config.max_translation, max_rotation=config.max_rotation,
@@ -322,3 +349,11 @@ class Fitter:
             rows.rotations, rows.origins, scale=config.score_scale, cap=config.score_cap,
             wrist_x=config.wrist_cut, errors=rows.errors, counts=rows.counts,
         )  # fmt: skip
+
+
+def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...], dtype: type) -> NDArray:
+    """Values as a contiguous array of a shape; a leading 1 may be left out."""
+    array = np.ascontiguousarray(values, dtype)
+    if array.shape != shape and not (shape[0] == 1 and array.shape == shape[1:]):
+        raise InputError(f"{name} have shape {array.shape}; expected {shape}")
+    return array.reshape(shape)

@@ -18,7 +18,14 @@ from handtrack.artifacts import artifact_path
 from handtrack.errors import DamagedFileError, InputError, MissingFileError
 from handtrack.hand.shape import HandShape
 from handtrack.hand.side import Side, check_side, mirror_axes, mirror_points, mirror_rotations
-from handtrack.hand.skeleton import ANGLE_BONES, BASE_BONES, BONE_PARENTS, DISTAL_BONES, NBONE
+from handtrack.hand.skeleton import (
+    ANGLE_BONES,
+    BASE_BONES,
+    BONE_PARENTS,
+    DISTAL_BONES,
+    NANGLE,
+    NBONE,
+)
 from handtrack.transforms import rotvec_to_matrix
 
 FORMAT_VERSION = 1
@@ -141,10 +148,19 @@ class HandModel:
                         f" {FORMAT_VERSION}"
                     )
                 arrays = {f.name: np.asarray(data[f.name]) for f in fields(cls)}
-        except (KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error, ValueError) as error:
+        except (
+            KeyError,
+            OSError,
+            EOFError,
+            zipfile.BadZipFile,
+            zlib.error,
+            TypeError,
+            ValueError,
+        ) as error:
             if isinstance(error, DamagedFileError):
                 raise
             raise DamagedFileError(f"{path} is not a hand model: {error}") from error
+        _check_arrays(arrays, path)
         cut_x = float(arrays.pop("cut_x"))
         for name, value in arrays.items():
             arrays[name] = value.astype(np.int32 if value.dtype.kind == "i" else np.float64)
@@ -218,6 +234,41 @@ class HandModel:
         return skeleton_frames(
             self.bone_rotations, self.bone_origins, self.dof_axes, self.rest_angles
         )
+
+
+_SHAPES: dict[str, tuple[int | str, ...]] = {
+    "vertices": ("nvert", 3), "faces": ("nface", 3),
+    "weight_bones": ("nvert", 3), "weights": ("nvert", 3),
+    "bone_rotations": (NBONE, 3, 3), "bone_origins": (NBONE, 3), "tip_offsets": (5, 3),
+    "dof_axes": (NANGLE, 3), "rest_angles": (NANGLE,), "limits": (NANGLE, 2),
+    "scale_mean": (NBONE + 1,), "scale_basis": (NBONE + 1, "nalpha"),
+    "offset_mean": ("nvert + 5", 3), "offset_basis": ("nvert + 5", 3, "nbeta"), "cut_x": (),
+}  # fmt: skip
+"""Shape of every array of the artifact; names stand for any size, the same wherever they appear."""
+
+
+def _check_arrays(arrays: dict[str, NDArray], path: Path) -> None:
+    """Check shapes, kinds, finiteness and indices of what was read."""
+    sizes: dict[int | str, int] = {}
+    for name, shape in _SHAPES.items():
+        value = arrays[name]
+        if name == "vertices" and value.ndim:
+            sizes["nvert + 5"] = len(value) + 5
+        fits = value.ndim == len(shape) and all(
+            found == (size if isinstance(size, int) else sizes.setdefault(size, found))
+            for found, size in zip(value.shape, shape, strict=True)
+        )
+        if not fits:
+            raise DamagedFileError(f"{path}: {name} has shape {value.shape}; expected {shape}")
+        kind = "i" if name in ("faces", "weight_bones") else "f"
+        if value.dtype.kind != kind or (kind == "f" and not np.isfinite(value).all()):
+            raise DamagedFileError(
+                f"{path}: {name} holds {value.dtype} values; expected finite numbers of kind"
+                f" {kind!r}"
+            )
+    for name, count in (("faces", sizes["nvert"]), ("weight_bones", NBONE)):
+        if arrays[name].size and not 0 <= arrays[name].min() <= arrays[name].max() < count:
+            raise DamagedFileError(f"{path}: {name} has entries outside 0 to {count - 1}")
 
 
 def skeleton_frames(

@@ -46,9 +46,15 @@ class HandShape:
 
     def save(self, path: str | Path) -> None:
         """Write the shape to an .npz file."""
-        np.savez(
-            path, format_version=FORMAT_VERSION, alpha=self.alpha, beta=self.beta, scale=self.scale
-        )
+        # Given a name, NumPy would add ".npz" to it.
+        with Path(path).open("wb") as file:
+            np.savez(
+                file,
+                format_version=FORMAT_VERSION,
+                alpha=self.alpha,
+                beta=self.beta,
+                scale=self.scale,
+            )
 
     @classmethod
     def load(cls, path: str | Path) -> HandShape:
@@ -62,6 +68,17 @@ class HandShape:
             raise MissingFileError(f"no hand shape at {path}")
         try:
             with np.load(path, allow_pickle=False) as data:
+                version = int(data["format_version"])
+                if version != FORMAT_VERSION:
+                    raise ValueError(f"format {version}; this version reads {FORMAT_VERSION}")
                 return cls(alpha=data["alpha"], beta=data["beta"], scale=float(data["scale"]))
-        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            OSError,
+            EOFError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
             raise DamagedFileError(f"{path} is not a hand shape file: {error}") from error

@@ -102,7 +102,7 @@ def _match_points(
         wp.min(column - bx * bin_size, bx * bin_size + bin_size - 1 - column),
         wp.min(row - by * bin_size, by * bin_size + bin_size - 1 - row),
     )
-    cell = RAY_COSINE * z / crops_in[hand, 0]
+    cell = RAY_COSINE * z / wp.max(crops_in[hand, 0], crops_in[hand, 1])
     best = max_distance * max_distance
     match = int(-1)
     for ring in range(window + 1):

@@ -107,7 +107,7 @@ def _rasterize_triangles(
             wa = ((bx - px) * (cy_ - py) - (by - py) * (cx_ - px)) * inverse
             wb = ((cx_ - px) * (ay - py) - (cy_ - py) * (ax - px)) * inverse
             wc = 1.0 - wa - wb
-            if wa >= 0.0 and wb >= 0.0 and wc >= 0.0:
+            if wa >= -1.0e-5 and wb >= -1.0e-5 and wc >= -1.0e-5:
                 z = 1.0 / (wa * ia + wb * ib + wc * ic)
                 wp.atomic_min(keys_io, rowid, y, x, _pack_key(z, faceid))
 

@@ -253,6 +253,7 @@ def _silhouette_rows(
             if best_column >= 0:
                 ex = ex / distance
                 ey = ey / distance
+                ey = ey * crops_in[hand, 1] / crops_in[hand, 0]
                 direction = wp.vec3(ex, ey, -(ex * vertex[0] + ey * vertex[1]) / z)
     if weight > 0.0:
         squared = residual * residual
