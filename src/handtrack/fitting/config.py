@@ -24,7 +24,7 @@ class FitConfig:
     The thesis gives its weights without the unit of length; in centimetres its three terms balance.
     """
 
-    crop_cells: int = 96
+    crop_cells: int = 128
     """Cells along one side of the crop."""
     crop_span: float = 0.27
     """Width of the crop at the hand's distance [m]; a small camera's crop may be wider."""
@@ -68,7 +68,7 @@ class FitConfig:
     """Weight of model vertices over the background [1/cm^2]; 0 switches the term off."""
     silhouette_scale: float = 0.03
     """Geman-McClure scale of that distance [m]."""
-    silhouette_margin: float = 2.0
+    silhouette_margin: float = 2.5
     """Distance outside the silhouette that costs nothing [cells]."""
     silhouette_reach: int = 24
     """Farthest foreground looked for [cells]."""
@@ -90,7 +90,7 @@ class FitConfig:
     """Relative damping of the normal equations; with `levenberg` its first value."""
     translation_floor: float = 0.01
     """Constant added to the diagonal for translation [1/cm^2]."""
-    angle_floor: float = 0.05
+    angle_floor: float = 0.5
     """Constant added to the diagonal for rotation and joint angles [1/rad^2]."""
     max_translation: float = 0.05
     """Longest step of the palm per iteration and axis [m]."""

@@ -137,7 +137,7 @@ class Fitter:
             InputError: The images have another shape.
         """
         depth = _shaped("depth", depth, self.image.depth.shape, np.float32)
-        self.image.depth.assign(depth)
+        _put(self.image.depth, depth)
 
     def place(self, centres: ArrayLike) -> None:
         """Lay each hand's crop and gate around where the hand is expected.
@@ -160,9 +160,9 @@ class Fitter:
         crops[:, 3] = (camera.cy - start[:, 1]) / step
         crops[:, 4:6], crops[:, 6] = start, step
         gates = np.column_stack([centres, np.full(self.nhand, config.gate_radius)])
-        self.image.crops.assign(crops)
-        self.image.gates.assign(gates.astype(np.float32))
-        self.image.render_cameras.assign(crops[:, :4] / np.float32(config.score_scale))
+        _put(self.image.crops, crops)
+        _put(self.image.gates, gates.astype(np.float32))
+        _put(self.image.render_cameras, crops[:, :4] / np.float32(config.score_scale))
 
     def set_poses(self, poses: ArrayLike, references: ArrayLike | None = None) -> None:
         """Start poses of all rows, and the poses that smoothness pulls to (the same when None).
@@ -175,8 +175,8 @@ class Fitter:
         if references is None:
             references = poses
         references = _shaped("references", references, (self.nrow, NQ), np.float32)
-        self.rows.pose.assign(poses)
-        self.rows.reference.assign(references)
+        _put(self.rows.pose, poses)
+        _put(self.rows.reference, references)
 
     def run(self) -> None:
         """Refine all rows against the loaded images and score them."""
@@ -349,6 +349,15 @@ class Fitter:
             rows.rotations, rows.origins, scale=config.score_scale, cap=config.score_cap,
             wrist_x=config.wrist_cut, errors=rows.errors, counts=rows.counts,
         )  # fmt: skip
+
+
+def _put(array: wp.array, values: NDArray[np.float32]) -> None:
+    """Copy host values of the array's shape into it."""
+    if array.device.is_cpu:
+        # The array's own memory; `assign` would wrap and copy through a temporary one.
+        np.copyto(array.numpy(), values)
+    else:
+        array.assign(values)
 
 
 def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...], dtype: type) -> NDArray:
