@@ -257,7 +257,7 @@ def run_image(
 ) -> ImageTerms:
     """Rows where an image of blocks contradicts the posed hands."""
     options = {
-        "reach": 9, "silhouette_weight": 3.0, "silhouette_scale": 0.03, "silhouette_margin": 1.0,
+        "reach": 9, "silhouette_weight": 3.0, "silhouette_scale": 0.03, "silhouette_margin": 0.002,
         "front_weight": 2.0, "front_scale": 0.02, "front_margin": 0.005, **changed,
     }  # fmt: skip
     nhand = len(posed.hands)
@@ -366,7 +366,7 @@ def test_silhouette_rows_equal_central_differences(make_posed, device, rng, side
             errors = []
             for target in candidates:
                 length = np.linalg.norm(uv - target)
-                over = (length - terms.options["silhouette_margin"]) * z / crop[0]
+                over = length * z / crop[0] - terms.options["silhouette_margin"]
                 chain = terms.chains[row, vertex : vertex + 1]
                 if over <= 0 or chain[0] < 0:
                     silent = over <= 0 and chain[0] < 0
@@ -433,7 +433,7 @@ def test_vertices_that_the_image_allows_cost_nothing(make_posed, device, rng) ->
         # Too far from anything to be pulled, but still counted, at the price of the last pull.
         z = posed.skin(row)[0][lost, 2]
         cell = z / terms.crops[posed.row_hand[row], 0]
-        over = (terms.options["reach"] - terms.options["silhouette_margin"]) * cell
+        over = terms.options["reach"] * cell - terms.options["silhouette_margin"]
         expected = full * geman_mcclure(over**2, terms.options["silhouette_scale"])
         np.testing.assert_allclose(terms.costs[row, lost], expected, rtol=1e-3)
         assert (terms.chains[row, lost] == -2).all()

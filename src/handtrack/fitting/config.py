@@ -68,8 +68,8 @@ class FitConfig:
     """Weight of model vertices over the background [1/cm^2]; 0 switches the term off."""
     silhouette_scale: float = 0.03
     """Geman-McClure scale of that distance [m]."""
-    silhouette_margin: float = 2.5
-    """Distance outside the silhouette that costs nothing [cells]."""
+    silhouette_margin: float = 0.005
+    """Distance outside the silhouette that costs nothing [m]; sensors gnaw at edges."""
     silhouette_reach: int = 24
     """Farthest foreground looked for [cells]."""
     front_weight: float = 0.0

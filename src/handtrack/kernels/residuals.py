@@ -243,11 +243,11 @@ def _silhouette_rows(
             ex = u - float(best_column)
             ey = v - float(best_row)
             distance = wp.sqrt(ex * ex + ey * ey)
-        over = distance - silhouette_margin
+        # Metres per cell at the vertex.
+        over = distance * z / crops_in[hand, 0] - silhouette_margin
         if over > 0.0:
-            # Metres per cell at the vertex; the image direction lifted to 3D.
-            cell = z / crops_in[hand, 0]
-            residual = over * cell
+            # The image direction lifted to 3D.
+            residual = over
             scale = silhouette_scale
             weight = silhouette_weight
             if best_column >= 0:
@@ -394,7 +394,7 @@ def silhouette_rows(
         reach: Farthest foreground cell looked for [cells].
         silhouette_weight: Weight of a squared metre outside the silhouette.
         silhouette_scale: Geman-McClure scale of that distance [m].
-        silhouette_margin: Distance outside the silhouette that is free [cells].
+        silhouette_margin: Distance outside the silhouette that is free [m].
         front_weight: Weight of a squared metre in front of the observed surface.
         front_scale: Geman-McClure scale of that distance [m].
         front_margin: Distance in front that is free [m].

@@ -62,7 +62,8 @@ class StagedFitter(Fitter):
         wp.synchronize_device(self.device)
         for name, graphs in self._stages:
             begin = time.perf_counter()
-            if len(graphs) > 1 and self._pool is not None:
+            # Waking threads takes longer than the little between the stages.
+            if len(graphs) > 1 and self._pool is not None and name != OTHER:
                 list(self._pool.map(wp.capture_launch, graphs))
             else:
                 for graph in graphs:
