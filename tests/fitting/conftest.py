@@ -58,6 +58,13 @@ class Scene:
         gap = found - keypoints(self.hand, self.truth[: len(found)])
         return np.linalg.norm(gap, axis=-1).mean(1)
 
+    def depth_errors(self, device: str) -> NDArray[np.float32]:
+        """Depth error of each image's true pose [m], shape (n,)."""
+        fitter = self.fitter(device, config=FitConfig(iterations=0))
+        fitter.set_poses(self.truth)
+        fitter.run()
+        return fitter.errors
+
 
 @cache
 def _scene(side: str, camera: str, count: int, seed: int) -> Scene:

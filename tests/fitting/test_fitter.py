@@ -42,7 +42,9 @@ def test_known_poses_are_recovered(make_scene, device, camera, side, tolerance) 
     second = scene.keypoint_errors(fitter.poses)
     assert second.mean() < tolerance * MILLIMETRE
     assert (second < 3 * tolerance * MILLIMETRE).all()
-    assert np.median(fitter.errors) < (1 + tolerance) * MILLIMETRE
+    # On few pixels E_d is mostly ragged silhouette: compare with where the hand really is.
+    found = fitter.errors
+    assert np.median(found) < np.median(scene.depth_errors(device)) + 0.4 * tolerance * MILLIMETRE
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
