@@ -178,6 +178,15 @@ class Fitter:
         _put(self.rows.pose, poses)
         _put(self.rows.reference, references)
 
+    def warm_up(self) -> None:
+        """Compile the kernels and capture the graphs, on an empty image."""
+        pose = np.zeros(NQ)
+        pose[2], pose[3] = 0.5, 1.0
+        self.load_depth(np.zeros(self.image.depth.shape, np.float32))
+        self.place(np.tile(pose[:3], (self.nhand, 1)))
+        self.set_poses(np.tile(pose, (self.nrow, 1)))
+        self.run()
+
     def run(self) -> None:
         """Refine all rows against the loaded images and score them."""
         self._prepare()

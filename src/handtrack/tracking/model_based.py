@@ -108,6 +108,10 @@ class TrackerModelBased:
 
         self._fitter = fitter(self._nhyp)
         self._rescuer = fitter(self.config.rescue_rows) if self.config.rescue_rows else None
+        # Compile and capture now, not on the first frame or the first loss.
+        for used in (self._fitter, self._rescuer):
+            if used is not None:
+                used.warm_up()
         self._seed = seed
         self._rng = np.random.default_rng(seed)
         self._pose: NDArray[np.float64] | None = None
