@@ -18,6 +18,9 @@ from handtrack.priors.gaussian import GaussianPrior
 from handtrack.tracking.rescue import restart_poses
 from handtrack.transforms import apply_increment, pose_difference
 
+LEVEL_RATE = 0.05
+"""Share of a frame's depth error in its running level: about 20 frames of memory."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelBasedConfig:
@@ -31,6 +34,10 @@ class ModelBasedConfig:
     """Random restarts tried on a frame that is explained badly; 0 switches them off."""
     rescue_error: float = 0.008
     """Depth error above which restarts are tried [m]."""
+    rescue_jump: float = 1.3
+    """Restarts are tried on every frame whose depth error is above so much of its running level."""
+    rescue_period: int = 10
+    """Frames between tries when the depth error is high but steady, as with a wrong shape."""
     rescue_gain: float = 0.9
     """A restart replaces the tracked pose when its depth error is below so much of the tracked
     one's."""
@@ -45,6 +52,11 @@ class ModelBasedConfig:
         """
         if not 0 <= self.velocity <= 2:
             raise InputError(f"velocity is {self.velocity}; expected 0 to 2")
+        if self.rescue_period < 1 or self.rescue_jump < 1:
+            raise InputError(
+                f"rescue_period and rescue_jump are {self.rescue_period} and {self.rescue_jump};"
+                " expected at least 1"
+            )
         if self.rescue_rows < 0 or not 0 < self.rescue_gain <= 1 or self.rescue_error <= 0:
             raise InputError(
                 f"rescue_rows, rescue_gain, rescue_error are {self.rescue_rows},"
@@ -116,6 +128,8 @@ class TrackerModelBased:
         self._rng = np.random.default_rng(seed)
         self._pose: NDArray[np.float64] | None = None
         self._motion = np.zeros(27)
+        self._level: float | None = None
+        self._frames_since_try = 0
 
     @property
     def started(self) -> bool:
@@ -127,6 +141,8 @@ class TrackerModelBased:
         self._pose = None if pose is None else np.array(pose, np.float64)
         self._motion = np.zeros(27)
         self._rng = np.random.default_rng(self._seed)
+        self._level = None
+        self._frames_since_try = 0
 
     def step(
         self, depth: NDArray[np.float32], *, fallback: NDArray[np.float64] | None = None
@@ -150,11 +166,13 @@ class TrackerModelBased:
         clock.append(time.perf_counter())
         found, error = self._refine(self._fitter, depth, starts)
         clock.append(time.perf_counter())
-        if self._rescuer is not None and error > self.config.rescue_error:
+        if self._rescuer is not None and self._needs_rescue(error):
             restarts = restart_poses(self._hand, found, self.config.rescue_rows, self._rng)
             other, other_error = self._refine(self._rescuer, depth, restarts)
             if other_error < self.config.rescue_gain * error:
                 found, error = other, other_error
+        level = error if self._level is None else self._level
+        self._level = level + LEVEL_RATE * (error - level)
         self._motion = pose_difference(found, pose)
         self._pose = found
         clock.append(time.perf_counter())
@@ -164,6 +182,17 @@ class TrackerModelBased:
             depth_error=error,
             timings=dict(zip(("predict", "fit", "rescue"), map(float, spans), strict=True)),
         )
+
+    def _needs_rescue(self, error: float) -> bool:
+        """Whether to try restarts: the depth is explained badly, and worse than it used to be."""
+        self._frames_since_try += 1
+        if error <= self.config.rescue_error:
+            return False
+        jumped = self._level is not None and error > self.config.rescue_jump * self._level
+        if not jumped and self._frames_since_try < self.config.rescue_period:
+            return False
+        self._frames_since_try = 0
+        return True
 
     def _refine(
         self, fitter: Fitter, depth: NDArray[np.float32], starts: NDArray[np.float64]
