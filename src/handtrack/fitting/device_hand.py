@@ -66,12 +66,6 @@ class DeviceHand:
             bone_angles=put(bone_angles, int),
             angle_bones=put(np.array(ANGLE_BONES, np.int32), int),
             vertex_chains=put(used.max(axis=1).astype(np.int32), int),
-            vertex_is_hand=put(_hand_vertices(first).astype(np.int32), int),
+            vertex_is_hand=put((~first.stub_vertices).astype(np.int32), int),
             limits=put(first.limits.astype(np.float32), float),
         )
-
-
-def _hand_vertices(hand: ShapedHand) -> np.ndarray:
-    """Vertices that are not the forearm stub: moved by a finger, or distal of the wrist joint."""
-    palm_x = np.where(hand.weight_bones == 0, hand.local_vertices[..., 0], np.inf)
-    return palm_x.min(axis=1) > 0.0

@@ -70,6 +70,12 @@ class ShapedHand:
         return len(self.weights)
 
     @property
+    def stub_vertices(self) -> NDArray[np.bool_]:
+        """Which vertices are the forearm stub, moved by the palm behind the wrist, shape (nvert,)."""
+        palm_x = np.where(self.weight_bones == 0, self.local_vertices[..., 0], np.inf)
+        return np.asarray(palm_x.min(axis=1) <= 0.0)
+
+    @property
     def bone_lengths(self) -> Float:
         """From each bone's joint to the next or the tip [m], shape (16,); palm: to middle MCP."""
         lengths = np.empty(NBONE)

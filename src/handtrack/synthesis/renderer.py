@@ -33,7 +33,7 @@ class DepthRenderer:
         self.hand, self.camera = hand, camera
         self._device = resolve_device(device)
         self._batch = batch
-        stub = _stub_faces(hand)
+        stub = hand.stub_vertices[hand.faces].all(axis=1)
         self._bare = hand.faces
         self._sleeved = np.concatenate([hand.faces[~stub], forearm_faces(hand.nvert)])
         self._faces: dict[bool, wp.array] = {
@@ -111,9 +111,3 @@ class DepthRenderer:
             self._faces[elbows is not None], self._row_hand, self._cameras, self._vertices,
             keys=self._keys,
         )  # fmt: skip
-
-
-def _stub_faces(hand: ShapedHand) -> NDArray[np.bool_]:
-    """Triangles of the model's own forearm stub."""
-    palm_x = np.where(hand.weight_bones == 0, hand.local_vertices[..., 0], np.inf).min(axis=1)
-    return (palm_x[hand.faces] < 0.0).all(axis=1)
