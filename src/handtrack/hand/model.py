@@ -71,7 +71,7 @@ class ShapedHand:
 
     @property
     def stub_vertices(self) -> NDArray[np.bool_]:
-        """Which vertices are the forearm stub, moved by the palm behind the wrist, shape (nvert,)."""
+        """Vertices of the forearm stub: moved by the palm, behind the wrist; shape (nvert,)."""
         palm_x = np.where(self.weight_bones == 0, self.local_vertices[..., 0], np.inf)
         return np.asarray(palm_x.min(axis=1) <= 0.0)
 
