@@ -1,4 +1,4 @@
-"""`handtrack synth`: labelled depth sequences from recorded motion."""
+"""`handtrack synth`: labelled depth sequences from recorded motion, and data sets for training."""
 
 from __future__ import annotations
 
@@ -20,35 +20,47 @@ if TYPE_CHECKING:
     from handtrack.hand.shape import HandShape
     from handtrack.synthesis.motion import Motion
 
+DEFAULT_NOISE = "time-of-flight"
+"""Noise model of a sequence's sensor."""
+
 CLEAN_UNIT = 0.0001
 """Step of the depth that is written where the noise model does not round it itself [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SynthOptions:
-    """Render depth sequences with truth: a motion, worn by a subject, seen by a noisy camera.
+    """Render depth with truth: a motion, worn by a subject, seen by a noisy camera; or a data set.
 
     MOTION is an .npz motion file, or the name of one that comes with handtrack
-    (recorded_hand_motion, leap_hand_motion).
+    (recorded_hand_motion, leap_hand_motion). With --dataset there is no motion: subjects, poses and
+    viewpoints are drawn at random, and a folder that was begun is gone on with.
 
     Examples::
 
         handtrack synth recorded_hand_motion --out fist.npz --frames 270:420 --subject 7
         handtrack synth leap_hand_motion --out seq/ --camera realsense --noise coded-light
+        handtrack synth --dataset train/ --preset small --seed 1
     """
 
-    motion: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION")]
+    motion: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION")] = None
     """Motion file, or name of a motion that comes with handtrack."""
-    out: Path
+    out: Path | None = None
     """Where to: FILE.npz, or a folder for 16-bit PNG images with camera.json and truth.npz."""
+    dataset: Path | None = None
+    """Folder for a data set instead of a sequence; of the other options --preset, --side, --camera,
+    --noise, --seed and --device count."""
+    preset: Literal["small", "paper"] = "small"
+    """Size of the data set: small (1,000 samples) or paper (40 subjects x 200 poses x 40 viewpoints
+    = 320,000 samples)."""
     subject: str = "mean"
     """Whose hand: mean, a number that draws a subject of the population, or a shape .npz."""
     side: Literal["right", "left"] = "right"
     """Which hand; a left hand gets the mirrored motion."""
     camera: str = "creative"
     """Camera: creative (320x240), realsense, primesense (640x480), or a camera.json."""
-    noise: Literal["time-of-flight", "structured-light", "coded-light", "none"] = "time-of-flight"
-    """Noise model of the sensor."""
+    noise: Literal["time-of-flight", "structured-light", "coded-light", "none"] | None = None
+    """Noise model of the sensor; without it time-of-flight, in data sets one of the three sensors
+    at random."""
     stride: int = 1
     """Keep every n-th frame."""
     frames: str = ":"
@@ -56,7 +68,7 @@ class SynthOptions:
     bare: bool = False
     """Leave the forearm out: only the hand model's own stub is seen."""
     seed: int = 0
-    """Seed of the noise."""
+    """Seed of the noise; with --dataset of everything."""
     device: str = "auto"
     """auto, cpu or cuda:0."""
 
@@ -73,17 +85,30 @@ def run(options: SynthOptions) -> int:
     Raises:
         HandtrackError: An input is missing, damaged or does not fit.
     """
+    if options.dataset is not None:
+        from handtrack.cli.synth_dataset import write_dataset
+
+        return write_dataset(options, options.dataset)
+    return _write_sequence(options)
+
+
+def _write_sequence(options: SynthOptions) -> int:
+    """Render and write a motion."""
     # Imported here: `handtrack --help` need not wait for Warp.
     from rich.console import Console
 
     from handtrack.cli import compute_device
     from handtrack.cli.progress import progress
+    from handtrack.errors import InputError
     from handtrack.hand.model import HandModel
     from handtrack.synthesis.motion import Motion
     from handtrack.synthesis.noise import noise_preset
     from handtrack.synthesis.sequence import frames_out_of_view, synthesize_sequence
 
-    _check_target(options.out)
+    if options.motion is None or options.out is None:
+        raise InputError("expected MOTION and --out for a sequence, or --dataset for a data set")
+    out = options.out
+    _check_target(out)
     motion = Motion.load(options.motion)
     start, stop = parse_frames(options.frames)
     motion = motion.take(start, stop)
@@ -94,16 +119,16 @@ def run(options: SynthOptions) -> int:
     hand = model.shaped(shape, side=options.side)
     device = compute_device(options.device)
     frames = synthesize_sequence(
-        motion, hand, camera, noise_preset(options.noise), stride=options.stride,
+        motion, hand, camera, noise_preset(_noise(options)), stride=options.stride,
         seed=options.seed, forearm=not options.bare,
         device=device.alias,
     )  # fmt: skip
     frames = progress(frames, count, "rendering")
-    write = _write_npz if options.out.suffix == ".npz" else _write_folder
-    write(options, frames, motion, camera, shape)
+    write = _write_npz if out.suffix == ".npz" else _write_folder
+    write(out, options, frames, motion, camera, shape)
     away = int(frames_out_of_view(motion, hand, camera)[:: options.stride].sum())
     Console(stderr=True, soft_wrap=True, highlight=False).print(
-        f"{options.out}: {count} frames of {camera.width}x{camera.height}"
+        f"{out}: {count} frames of {camera.width}x{camera.height}"
         + (f"; in {away} of them a part of the hand is out of view" if away else "")
     )
     return 0
@@ -183,15 +208,20 @@ def _source(options: SynthOptions, motion: Motion) -> str:
     return (
         f"synthesised by handtrack from frames {options.frames} (stride {options.stride}) of "
         f"{motion.name} ({motion.source}), subject {options.subject}, camera {options.camera}, "
-        f"noise {options.noise}, seed {options.seed}"
+        f"noise {_noise(options)}, seed {options.seed}"
     )
+
+
+def _noise(options: SynthOptions) -> str:
+    """Name of the sequence's noise model."""
+    return options.noise or DEFAULT_NOISE
 
 
 def _unit(options: SynthOptions) -> float:
     """Step of the stored depth [m]: the sensor's own."""
     from handtrack.synthesis.noise import noise_preset
 
-    return noise_preset(options.noise).depth_step or CLEAN_UNIT
+    return noise_preset(_noise(options)).depth_step or CLEAN_UNIT
 
 
 def _rate(options: SynthOptions, motion: Motion) -> float | None:
@@ -201,6 +231,7 @@ def _rate(options: SynthOptions, motion: Motion) -> float | None:
 
 
 def _write_npz(
+    out: Path,
     options: SynthOptions,
     frames: Iterator[DepthFrame],
     motion: Motion,
@@ -213,7 +244,7 @@ def _write_npz(
     # The lists of labels fill while the depth is read, which comes first.
     kept = _Labels()
     write_npz_sequence(
-        options.out, kept.depths(frames), camera, depth_unit=_unit(options),
+        out, kept.depths(frames), camera, depth_unit=_unit(options),
         source=_source(options, motion), licence=motion.licence, side=options.side,
         shape_alpha=shape.alpha, shape_beta=shape.beta, scale=shape.scale,
         frames_per_second=_rate(options, motion),
@@ -240,6 +271,7 @@ class _Labels:
 
 
 def _write_folder(
+    out: Path,
     options: SynthOptions,
     frames: Iterator[DepthFrame],
     motion: Motion,
@@ -250,8 +282,8 @@ def _write_folder(
     import cv2
     import numpy as np
 
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=f".{options.out.name}.", dir=options.out.parent))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     try:
         kept = _Labels()
         for number, depth in enumerate(kept.depths(frames)):
@@ -271,9 +303,9 @@ def _write_folder(
             truth_keypoints=np.array(kept.keypoints), side=options.side,
             shape_alpha=shape.alpha, shape_beta=shape.beta, scale=shape.scale,
         )  # fmt: skip
-        if options.out.is_dir():
-            options.out.rmdir()
+        if out.is_dir():
+            out.rmdir()
         os.chmod(part, 0o755)
-        part.replace(options.out)
+        part.replace(out)
     finally:
         shutil.rmtree(part, ignore_errors=True)
