@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 from dataclasses import dataclass, fields
 
@@ -119,14 +120,14 @@ class FitConfig:
         """
         for field in fields(self):
             value = getattr(self, field.name)
-            whole = isinstance(value, numbers.Integral)
-            kind = "whole" if isinstance(field.default, int) else "finite"
+            number = float(value) if isinstance(value, numbers.Real) else math.nan
+            counted = isinstance(field.default, int)
+            kind = "whole" if counted else "finite"
             if not (
-                isinstance(value, numbers.Real)
-                and np.isfinite(value)
-                and (whole or not isinstance(field.default, int))
-                and (value >= 0 or field.name in _SIGNED)
-                and (value > 0 or field.name not in _POSITIVE)
+                math.isfinite(number)
+                and (isinstance(value, numbers.Integral) or not counted)
+                and (number >= 0 or field.name in _SIGNED)
+                and (number > 0 or field.name not in _POSITIVE)
             ):
                 least = (
                     "" if field.name in _SIGNED else " > 0" if field.name in _POSITIVE else " >= 0"

@@ -362,7 +362,7 @@ class Fitter:
 
 def _put(array: wp.array, values: NDArray[np.float32]) -> None:
     """Copy host values of the array's shape into it."""
-    if array.device.is_cpu:
+    if isinstance(array.device, wp.Device) and array.device.is_cpu:
         # The array's own memory; `assign` would wrap and copy through a temporary one.
         np.copyto(array.numpy(), values)
     else:

@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handtrack.hand.model import ShapedHand, skeleton_frames
-from handtrack.hand.skeleton import BASE_BONES, DISTAL_BONES, NBONE, finger_of_bone
+from handtrack.hand.skeleton import BASE_BONES, finger_of_bone
+from handtrack.hand.spheres import SHRINK, finger_spheres
 
 Float = NDArray[np.float64]
 
-_ALONG_BONE = (0.15, 0.5, 0.85)
 _ALONG_PALM = (0.35, 0.6, 0.82)
-_SHRINK = 0.9
-"""Spheres are thinner than the finger: neighbours touch in a relaxed hand."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +34,7 @@ class HandSpheres:
     @classmethod
     def of(cls, hand: ShapedHand) -> HandSpheres:
         """Fit spheres to a hand's skin."""
-        bones, centres, radii = _finger_spheres(hand)
+        bones, centres, radii = finger_spheres(hand)
         palm_centres, palm_radii = _palm_spheres(hand)
         bones = np.concatenate([bones, np.zeros(len(palm_radii), np.intp)])
         first, second = np.triu_indices(len(bones), 1)
@@ -77,23 +75,6 @@ class HandSpheres:
         return np.maximum(self.overlaps(angles).max(axis=-1), 0.0)
 
 
-def _finger_spheres(hand: ShapedHand) -> tuple[NDArray[np.intp], Float, Float]:
-    """Bones, centres [m] and radii [m] of spheres in the flesh along the finger bones."""
-    lengths = hand.bone_lengths
-    bones, centres, radii = [], [], []
-    for bone in range(1, NBONE):
-        skin = hand.local_vertices[(hand.weight_bones == bone) & (hand.weights > 0.4)]
-        end = lengths[bone] * (0.85 if bone in DISTAL_BONES else 1.0)
-        for x in np.array(_ALONG_BONE) * end:
-            near = skin[np.abs(skin[:, 0] - x) < 0.25 * lengths[bone]]
-            ring = (near if len(near) >= 4 else skin)[:, 1:]
-            middle = 0.5 * (ring.min(0) + ring.max(0))
-            bones.append(bone)
-            centres.append([x, *middle])
-            radii.append(_SHRINK * np.median(np.linalg.norm(ring - middle, axis=1)))
-    return np.array(bones, np.intp), np.array(centres), np.array(radii)
-
-
 def _palm_spheres(hand: ShapedHand) -> tuple[Float, Float]:
     """Centres [m], palm frame, and radii [m] of spheres along the fingers' metacarpals."""
     skin = hand.local_vertices[(hand.weight_bones == 0) & (hand.weights > 0.6)]
@@ -108,5 +89,5 @@ def _palm_spheres(hand: ShapedHand) -> tuple[Float, Float]:
                 near = skin[np.hypot(skin[:, 0] - x, skin[:, 2] - z) < reach]
             low, high = near[:, 1].min(), near[:, 1].max()
             centres.append([x, 0.5 * (low + high), z])
-            radii.append(_SHRINK * 0.5 * (high - low))
+            radii.append(SHRINK * 0.5 * (high - low))
     return np.array(centres), np.array(radii)
