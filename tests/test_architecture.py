@@ -15,7 +15,7 @@ STAGES = (
     "evaluation", "physics", "grasp", "viewer", "config", "cli",
 )  # fmt: skip
 """In the order in which data flows: a stage imports only stages before it."""
-ROOT_FILES = ("errors", "device", "transforms", "artifacts")
+ROOT_FILES = ("errors", "device", "transforms", "artifacts", "files")
 """Files that every stage may import, and that import nothing of the package but each other."""
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "common", "misc", "core"}
 MAX_LINES = 500

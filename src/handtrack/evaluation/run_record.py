@@ -16,6 +16,7 @@ from handtrack.camera.camera import Camera
 from handtrack.camera.frame import DepthFrame
 from handtrack.evaluation.metrics import AccuracySummary, summarize
 from handtrack.evaluation.timing import StageTimer
+from handtrack.files import whole_file
 from handtrack.hand.shape import HandShape
 from handtrack.hand.skeleton import ANGLES, KEYPOINTS, POSE
 from handtrack.tracking.result import HandResult, TrackState
@@ -161,10 +162,6 @@ class RunRecord:
 
 def write_whole(path: Path, content: bytes) -> Path:
     """Write a file so that it is there complete or not at all; returns its path."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        part.write_bytes(content)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_file(path) as file:
+        file.write(content)
     return path

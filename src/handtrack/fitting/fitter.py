@@ -225,11 +225,12 @@ class Fitter:
     def _launch_refine(self, rows: RowArrays) -> None:
         config = self.config
         rows.damping.fill_(config.damping)
-        rows.best_totals.fill_(float("inf"))
-        # What is kept before the first step: the start itself, with nothing to step along.
-        wp.copy(rows.best_pose, rows.pose)
-        rows.best_hessian.zero_()
-        rows.best_gradient.zero_()
+        if config.levenberg:
+            # What is kept before the first step: the start itself, with nothing to step along.
+            wp.copy(rows.best_pose, rows.pose)
+            rows.best_hessian.zero_()
+            rows.best_gradient.zero_()
+            rows.best_totals.fill_(float("inf"))
         for robust_scale in config.robust_scales():
             self._launch_pose(rows)
             self._launch_match(rows)

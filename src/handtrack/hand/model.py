@@ -6,8 +6,6 @@ that kinematics, rendering and fitting need.
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 
 from handtrack.artifacts import artifact_path
 from handtrack.errors import DamagedFileError, InputError, MissingFileError
+from handtrack.files import UNREADABLE
 from handtrack.hand.shape import HandShape
 from handtrack.hand.side import Side, check_side, mirror_axes, mirror_points, mirror_rotations
 from handtrack.hand.skeleton import (
@@ -154,15 +153,7 @@ class HandModel:
                         f" {FORMAT_VERSION}"
                     )
                 arrays = {f.name: np.asarray(data[f.name]) for f in fields(cls)}
-        except (
-            KeyError,
-            OSError,
-            EOFError,
-            zipfile.BadZipFile,
-            zlib.error,
-            TypeError,
-            ValueError,
-        ) as error:
+        except UNREADABLE as error:
             if isinstance(error, DamagedFileError):
                 raise
             raise DamagedFileError(f"{path} is not a hand model: {error}") from error

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.errors import DamagedFileError, InputError, MissingFileError
+from handtrack.files import UNREADABLE
 
 FORMAT_VERSION = 1
 
@@ -72,13 +71,5 @@ class HandShape:
                 if version != FORMAT_VERSION:
                     raise ValueError(f"format {version}; this version reads {FORMAT_VERSION}")
                 return cls(alpha=data["alpha"], beta=data["beta"], scale=float(data["scale"]))
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            OSError,
-            EOFError,
-            zipfile.BadZipFile,
-            zlib.error,
-        ) as error:
+        except UNREADABLE as error:
             raise DamagedFileError(f"{path} is not a hand shape file: {error}") from error

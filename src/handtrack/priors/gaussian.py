@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handtrack.artifacts import artifact_path
 from handtrack.errors import DamagedFileError, InputError, MissingFileError
+from handtrack.files import UNREADABLE
 from handtrack.hand.skeleton import NANGLE
 
 FORMAT_VERSION = 1
@@ -93,5 +92,5 @@ class GaussianPrior:
                     mean=data["mean"], axes=data["axes"], variances=data["variances"],
                     residual_variance=float(data["residual_variance"]),
                 )  # fmt: skip
-        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except UNREADABLE as error:
             raise DamagedFileError(f"{path} is not a pose prior: {error}") from error

@@ -7,8 +7,6 @@ A frame is the palm's translation [m], its rotation vector [rad], both in the ca
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handtrack.artifacts import artifact_path
 from handtrack.errors import DamagedFileError, InputError, MissingFileError
+from handtrack.files import UNREADABLE, whole_file
 from handtrack.hand.skeleton import NQ, NV
 from handtrack.transforms import matrix_to_quat, matrix_to_rotvec, quat_to_matrix, rotvec_to_matrix
 
@@ -151,13 +150,8 @@ class Motion:
         if self.frames_per_second is not None:
             arrays["frames_per_second"] = self.frames_per_second
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-        try:
-            with unfinished.open("wb") as file:
-                np.savez_compressed(file, **arrays)
-            unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
+        with whole_file(path) as file:
+            np.savez_compressed(file, **arrays)
         return path
 
     @classmethod
@@ -192,9 +186,7 @@ class Motion:
                 )
         except DamagedFileError:
             raise
-        except (
-            KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error,
-        ) as error:  # fmt: skip
+        except UNREADABLE as error:
             raise DamagedFileError(f"{path} is not a motion file: {error}") from error
 
 

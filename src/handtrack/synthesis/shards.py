@@ -6,9 +6,6 @@ Each shard is also a recording that `handtrack.open_sequence` reads. Layout: doc
 from __future__ import annotations
 
 import json
-import os
-import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -18,6 +15,7 @@ import numpy as np
 
 from handtrack.camera.readers.npz import FORMAT_VERSION
 from handtrack.errors import DamagedFileError, InputError
+from handtrack.files import UNREADABLE, whole_file
 from handtrack.synthesis.dataset import DatasetConfig, SyntheticDataset
 
 DEPTH_UNIT = 0.0001
@@ -98,9 +96,8 @@ def _claim(folder: Path, config: DatasetConfig, fingerprint: str) -> None:
         raise InputError(f"{folder} exists and is not an empty folder: choose another one")
     folder.mkdir(parents=True, exist_ok=True)
     facts = {"fingerprint": fingerprint, "samples": len(config), **asdict(config)}
-    unfinished = told.with_name(f".{told.name}.{os.getpid()}.part")
-    unfinished.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
-    unfinished.replace(told)
+    with whole_file(told) as file:
+        file.write((json.dumps(facts, indent=1) + "\n").encode("utf-8"))
 
 
 def _is_complete(path: Path, fingerprint: str, start: int, stop: int) -> bool:
@@ -113,7 +110,7 @@ def _is_complete(path: Path, fingerprint: str, start: int, stop: int) -> bool:
             return str(data["fingerprint"]) == fingerprint and np.array_equal(
                 samples, np.arange(start, stop)
             )
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
+    except UNREADABLE:
         return False
 
 
@@ -130,10 +127,5 @@ def _write(
         "source": f"synthesised by handtrack, data set {fingerprint}", "licence": "Apache-2.0",
         **arrays,
     }  # fmt: skip
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("wb") as file:
-            np.savez_compressed(file, **content)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with whole_file(path) as file:
+        np.savez_compressed(file, **content)

@@ -14,6 +14,7 @@ from handtrack.fitting.config import THESIS, FitConfig
 from handtrack.fitting.fitter import Fitter
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
+from handtrack.hand.skeleton import NV
 from handtrack.priors.gaussian import GaussianPrior
 from handtrack.tracking.rescue import restart_poses
 from handtrack.transforms import apply_increment, pose_difference
@@ -125,11 +126,7 @@ class TrackerModelBased:
             if used is not None:
                 used.warm_up()
         self._seed = seed
-        self._rng = np.random.default_rng(seed)
-        self._pose: NDArray[np.float64] | None = None
-        self._motion = np.zeros(27)
-        self._level: float | None = None
-        self._frames_since_try = 0
+        self.start(None)
 
     @property
     def started(self) -> bool:
@@ -138,10 +135,12 @@ class TrackerModelBased:
 
     def start(self, pose: NDArray[np.float64] | None) -> None:
         """Go on from a pose at rest, shape (28,), or from nothing."""
-        self._pose = None if pose is None else np.array(pose, np.float64)
-        self._motion = np.zeros(27)
+        self._pose: NDArray[np.float64] | None = None
+        if pose is not None:
+            self._pose = np.array(pose, np.float64)
+        self._motion = np.zeros(NV)
         self._rng = np.random.default_rng(self._seed)
-        self._level = None
+        self._level: float | None = None
         self._frames_since_try = 0
 
     def step(

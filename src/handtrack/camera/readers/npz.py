@@ -24,6 +24,7 @@ from handtrack.camera.sequence import (
     check_unit,
 )
 from handtrack.errors import DamagedFileError, InputError, MissingFileError
+from handtrack.files import whole_file
 
 FORMAT_VERSION = 1
 """Version of the layout that is written; higher ones are refused."""
@@ -291,13 +292,8 @@ def write_npz_sequence(
     arrays.update({name: value for name, value in extra.items() if value is not None})
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with whole_file(path) as file:
+        np.savez_compressed(file, **arrays)
     return path
 
 
