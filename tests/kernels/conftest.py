@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 from numpy.typing import NDArray
 
-from handtrack.fitting.device_hand import DeviceHand
+from handtrack.hand.device_hand import DeviceHand
 from handtrack.hand.kinematics import bone_frames, skin, skin_normals
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NANGLE, NBONE

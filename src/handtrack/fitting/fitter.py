@@ -19,9 +19,9 @@ from handtrack.camera.camera import Camera
 from handtrack.device import FrameGraph, resolve_device
 from handtrack.errors import InputError
 from handtrack.fitting.config import FitConfig
-from handtrack.fitting.device_hand import DeviceHand
 from handtrack.fitting.spheres import CollisionSpheres
 from handtrack.fitting.workspace import HandArrays, RowArrays, point_directions
+from handtrack.hand.device_hand import DeviceHand
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NANGLE, NQ, NV
 from handtrack.kernels import (

@@ -17,6 +17,7 @@ from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NV
 from handtrack.priors.gaussian import GaussianPrior
 from handtrack.tracking.rescue import restart_poses
+from handtrack.tracking.stepper import Estimate
 from handtrack.transforms import apply_increment, pose_difference
 
 LEVEL_RATE = 0.05
@@ -68,25 +69,21 @@ class ModelBasedConfig:
                 f"lost_error is {self.lost_error}; expected up to score_cap {self.fit.score_cap}"
             )
 
+    def make(
+        self, hand: ShapedHand, camera: Camera, *, device: str | None, seed: int, graph: bool
+    ) -> TrackerModelBased:
+        """Allocate the method; see `Stepper`."""
+        return TrackerModelBased(hand, camera, config=self, device=device, seed=seed, graph=graph)
+
 
 THESIS_TRACKER = ModelBasedConfig(fit=THESIS, velocity=0.0, rescue_rows=0)
 """The thesis' model-based tracking: Eq. II.21 alone, from the previous pose."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
-    """What a tracker finds in one frame."""
-
-    pose: NDArray[np.float64]
-    """Pose, shape (28,)."""
-    depth_error: float
-    """E_d of Eq. II.19 [m]."""
-    timings: dict[str, float]
-    """Time spent per stage [ms]."""
-
-
 class TrackerModelBased:
     """Follows one hand from a given first pose."""
+
+    automatic = False
 
     def __init__(
         self,
@@ -179,6 +176,7 @@ class TrackerModelBased:
         return Estimate(
             pose=found,
             depth_error=error,
+            found=error < self.config.lost_error,
             timings=dict(zip(("predict", "fit", "rescue"), map(float, spans), strict=True)),
         )
 

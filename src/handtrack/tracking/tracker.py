@@ -15,14 +15,14 @@ from handtrack.hand.model import HandModel
 from handtrack.hand.shape import HandShape
 from handtrack.hand.side import Side, check_side
 from handtrack.hand.skeleton import NQ
-from handtrack.tracking.model_based import (
-    THESIS_TRACKER,
-    ModelBasedConfig,
-    TrackerModelBased,
-)
+from handtrack.tracking.model_based import THESIS_TRACKER, ModelBasedConfig
 from handtrack.tracking.result import HandResult, TrackState
+from handtrack.tracking.stepper import TrackerConfig
 
-TRACKERS: dict[str, ModelBasedConfig] = {
+FORGET_FRAMES = 10
+"""So many frames in a row without the hand, and it is gone: NO_HAND rather than LOST."""
+
+TRACKERS: dict[str, TrackerConfig] = {
     "model_based": ModelBasedConfig(),
     "thesis": THESIS_TRACKER,
 }
@@ -43,7 +43,7 @@ class HandTracker:
         shape: HandShape | None = None,
         device: str | None = None,
         tracker: str = "model_based",
-        config: ModelBasedConfig | None = None,
+        config: TrackerConfig | None = None,
         seed: int = 0,
         model: HandModel | None = None,
         graph: bool = True,
@@ -70,17 +70,11 @@ class HandTracker:
         self.camera, self.seed = camera, seed
         self.side: Side = check_side(side)
         self.hand = (model if model is not None else HandModel.load()).shaped(shape, side=side)
-        self._tracker = TrackerModelBased(
-            self.hand,
-            camera,
-            config=config or TRACKERS[tracker],
-            device=device,
-            seed=seed,
-            graph=graph,
+        self._tracker = (config or TRACKERS[tracker]).make(
+            self.hand, camera, device=device, seed=seed, graph=graph
         )
         self._buffer = np.zeros(camera.shape, np.float32)
-        self._state = TrackState.NO_HAND
-        self._good: NDArray[np.float64] | None = None
+        self._forget(None)
 
     def reset(self, pose: ArrayLike | None = None) -> None:
         """Forget the past; with a pose, shape (28,), go on from there.
@@ -88,58 +82,63 @@ class HandTracker:
         Raises:
             InputError: The pose is not 28 finite numbers with a quaternion.
         """
-        self._state = TrackState.NO_HAND
-        self._good = None if pose is None else _check_pose(pose)
-        self._tracker.start(self._good)
+        good = None if pose is None else _check_pose(pose)
+        self._forget(good)
+        self._tracker.start(good)
 
     def track(self, depth: Any) -> HandResult:
         """Find the hand in the next frame.
 
         Args:
             depth: Depth image [m], shape (height, width) of the camera, 0 = no measurement.
-                Anything
-                else is answered with LOST or NO_HAND and a `problem`.
+                Anything else is answered with LOST or NO_HAND and a `problem`.
 
         Returns:
             The hand's pose, and whether to trust it.
         """
         begin = time.perf_counter()
         clean, problem = check_depth(depth, self.camera, out=self._buffer)
-        checked = 1e3 * (time.perf_counter() - begin)
-        if not self._tracker.started:
-            why = problem or "the tracker has no first pose; call reset(pose)"
-            return self._result(TrackState.NO_HAND, np.full(NQ, np.nan), np.nan, why, {})
+        timings = {"check": 1e3 * (time.perf_counter() - begin)}
+        if problem is None and not (self._tracker.started or self._tracker.automatic):
+            problem = "the tracker has no first pose; call reset(pose)"
         if problem is not None:
-            self._state = TrackState.LOST
-            # The next good frame goes on from the last good pose, at rest.
-            self._tracker.start(self._good)
-            return self._result(self._state, self._good, np.nan, problem, {"check": checked})
-        lost = self._state is TrackState.LOST
-        estimate = self._tracker.step(clean, fallback=self._good if lost else None)
-        timings = {"check": checked, **estimate.timings}
-        found = estimate.depth_error < self._tracker.config.lost_error
-        if found:
-            self._state = TrackState.RECOVERED if lost else TrackState.TRACKING
-            self._good = estimate.pose
-        else:
-            self._state = TrackState.LOST
+            if self._good is not None:
+                # The next good frame goes on from the last good pose, at rest.
+                self._tracker.start(self._good)
+            return self._missed(np.nan, problem, timings)
+        estimate = self._tracker.step(clean, fallback=self._good if self._missed_frames else None)
+        timings |= estimate.timings
         timings["total"] = 1e3 * (time.perf_counter() - begin)
-        return self._result(
-            self._state, self._good, estimate.depth_error,
-            None if found else "the hand explains the image too badly", timings,
-        )  # fmt: skip
+        if estimate.found and estimate.pose is not None:
+            again = self._missed_frames > 0 and self._good is not None
+            self._state = TrackState.RECOVERED if again else TrackState.TRACKING
+            self._good, self._missed_frames = estimate.pose, 0
+            return self._result(estimate.pose, estimate.depth_error, None, timings)
+        why = estimate.problem or "the hand explains the image too badly"
+        return self._missed(estimate.depth_error, why, timings)
+
+    def _forget(self, good: NDArray[np.float64] | None) -> None:
+        """Start anew, from a pose or from nothing."""
+        self._state = TrackState.NO_HAND
+        self._good = good
+        self._missed_frames = 0
+
+    def _missed(self, error: float, problem: str, timings: dict[str, float]) -> HandResult:
+        """The result of a frame without the hand: the last good pose, until it is forgotten."""
+        self._missed_frames += 1
+        gone = self._tracker.automatic and self._missed_frames > FORGET_FRAMES
+        if self._good is None or gone:
+            self._state = TrackState.NO_HAND
+            return self._result(np.full(NQ, np.nan), np.nan, problem, timings)
+        self._state = TrackState.LOST
+        return self._result(self._good, error, problem, timings)
 
     def _result(
-        self,
-        state: TrackState,
-        pose: NDArray[np.float64] | None,
-        error: float,
-        problem: str | None,
+        self, pose: NDArray[np.float64], error: float, problem: str | None,
         timings: dict[str, float],
-    ) -> HandResult:
-        assert pose is not None
+    ) -> HandResult:  # fmt: skip
         return HandResult(
-            state=state, side=self.side, pose=pose.copy(), depth_error=float(error),
+            state=self._state, side=self.side, pose=pose.copy(), depth_error=float(error),
             hand=self.hand, problem=problem, timings=timings,
         )  # fmt: skip
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from handtrack.fitting.device_hand import DeviceHand
 from handtrack.fitting.spheres import CollisionSpheres
+from handtrack.hand.device_hand import DeviceHand
 from handtrack.hand.kinematics import bone_frames, skin
 from handtrack.hand.side import MIRROR
 from handtrack.hand.skeleton import ANGLE_BONES, DISTAL_BONES, finger_of_bone
