@@ -26,6 +26,7 @@ VERBS: dict[str, str] = {
     "demo": "track the sample sequence, print a table, write a video",
     "track": "track a recorded sequence and save the results",
     "synth": "render labelled depth sequences from recorded motion",
+    "train-forest": "train the regressor that starts and recovers tracking",
     "bench": "measure accuracy and speed together",
     "eval": "compare predictions with labels by a published protocol",
     "info": "versions, devices, artifacts: what to put into a bug report",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import ANGLE_BONES, BONE_PARENTS, NBONE, finger_of_bone
@@ -30,24 +31,35 @@ class DeviceHand:
     vertex_chains: wp.array
     vertex_is_hand: wp.array
     limits: wp.array
+    tip_offsets: wp.array
 
     @classmethod
-    def upload(cls, hands: Sequence[ShapedHand], device: wp.Device) -> DeviceHand:
+    def upload(
+        cls,
+        hands: Sequence[ShapedHand],
+        device: wp.Device,
+        *,
+        vertices: NDArray[np.intp] | None = None,
+    ) -> DeviceHand:
         """Copy hands to a device.
 
         Args:
             hands: Hands of one side, shape (nhand,); topology, weights and limits are shared.
             device: Where to.
+            vertices: Numbers of the vertices to keep, in this order; all when None. Triangles
+                always name all vertices.
         """
         first = hands[0]
+        kept = np.arange(first.nvert) if vertices is None else np.asarray(vertices)
         bone_angles = np.full((NBONE, 2), -1, np.int32)
         for angle, bone in enumerate(ANGLE_BONES):
             bone_angles[bone, int(bone_angles[bone, 0] >= 0)] = angle
         fingers = np.array([finger_of_bone(b) for b in range(NBONE)])
-        used = np.where(first.weights > 0, fingers[first.weight_bones], -1)
+        used = np.where(first.weights > 0, fingers[first.weight_bones], -1)[kept]
 
-        def stack(name: str, dtype: type) -> wp.array:
+        def stack(name: str, dtype: type, rows: NDArray[np.intp] | None = None) -> wp.array:
             values = np.stack([getattr(hand, name) for hand in hands]).astype(np.float32)
+            values = values if rows is None else np.ascontiguousarray(values[:, rows])
             return wp.array(values, dtype=dtype, device=device)
 
         def put(values: np.ndarray, dtype: type) -> wp.array:
@@ -55,10 +67,10 @@ class DeviceHand:
 
         return cls(
             faces=put(first.faces.astype(np.int32), int),
-            weight_bones=put(first.weight_bones.astype(np.int32), int),
-            weights=put(first.weights.astype(np.float32), float),
-            local_vertices=stack("local_vertices", wp.vec3),
-            local_normals=stack("local_normals", wp.vec3),
+            weight_bones=put(first.weight_bones[kept].astype(np.int32), int),
+            weights=put(first.weights[kept].astype(np.float32), float),
+            local_vertices=stack("local_vertices", wp.vec3, kept),
+            local_normals=stack("local_normals", wp.vec3, kept),
             bone_rotations=stack("bone_rotations", wp.mat33),
             bone_origins=stack("bone_origins", wp.vec3),
             angle_axes=stack("angle_axes", wp.vec3),
@@ -66,6 +78,7 @@ class DeviceHand:
             bone_angles=put(bone_angles, int),
             angle_bones=put(np.array(ANGLE_BONES, np.int32), int),
             vertex_chains=put(used.max(axis=1).astype(np.int32), int),
-            vertex_is_hand=put((~first.stub_vertices).astype(np.int32), int),
+            vertex_is_hand=put((~first.stub_vertices)[kept].astype(np.int32), int),
             limits=put(first.limits.astype(np.float32), float),
+            tip_offsets=stack("tip_offsets", wp.vec3),
         )

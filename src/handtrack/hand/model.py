@@ -74,6 +74,10 @@ class ShapedHand:
         palm_x = np.where(self.weight_bones == 0, self.local_vertices[..., 0], np.inf)
         return np.asarray(palm_x.min(axis=1) <= 0.0)
 
+    def as_right(self) -> ShapedHand:
+        """The right hand of the same shape: this one, or its mirror image."""
+        return self if self.side == "right" else _mirrored(self)
+
     @property
     def bone_lengths(self) -> Float:
         """From each bone's joint to the next or the tip [m], shape (16,); palm: to middle MCP."""
@@ -334,7 +338,7 @@ def vertex_normals(vertices: Float, faces: NDArray) -> Float:
 
 def _mirrored(hand: ShapedHand) -> ShapedHand:
     return ShapedHand(
-        side="left",
+        side="left" if hand.side == "right" else "right",
         faces=np.ascontiguousarray(hand.faces[:, ::-1]),
         weight_bones=hand.weight_bones,
         weights=hand.weights,

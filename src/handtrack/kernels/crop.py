@@ -6,7 +6,9 @@ nearest pixel. Cells keep about the same size in metres at any distance and for 
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 wp.set_module_options({"enable_backward": False})
 
@@ -16,6 +18,33 @@ unused."""
 
 GATE_SIZE = 4
 """Columns of a crop's gate: centre x y z and radius [m] of the sphere that holds the hand."""
+
+
+def crop_parameters(
+    intrinsics: tuple[float, float, float, float], centres: NDArray, *, cells: int, span: float
+) -> NDArray[np.float32]:
+    """Crops laid around points, never finer than the camera's own pixels.
+
+    Args:
+        intrinsics: fx, fy, cx, cy of the camera [pixels].
+        centres: Middle of each crop [m], camera frame, shape (n, 3).
+        cells: Cells along one side.
+        span: Width of a crop at its centre's distance [m].
+
+    Returns:
+        Crop parameters, shape (n, CROP_SIZE).
+    """
+    fx, fy, cx, cy = intrinsics
+    z = np.maximum(centres[:, 2], 0.05)
+    pixel = np.array([fx, fy]) * centres[:, :2] / z[:, None] + np.array([cx, cy])
+    step = np.maximum(span * fx / z / cells, 1.0)
+    start = pixel - step[:, None] * (cells - 1) / 2
+    crops = np.zeros((len(centres), CROP_SIZE), np.float32)
+    crops[:, 0], crops[:, 1] = fx / step, fy / step
+    crops[:, 2] = (cx - start[:, 0]) / step
+    crops[:, 3] = (cy - start[:, 1]) / step
+    crops[:, 4:6], crops[:, 6] = start, step
+    return crops
 
 
 @wp.kernel

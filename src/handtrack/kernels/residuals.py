@@ -100,6 +100,7 @@ def _point_rows(
     weight: float,
     robust_scale: float,
     max_distance: float,
+    palm_only: int,
     # out
     rows_out: wp.array2d[vec11],
     residuals_out: wp.array2d[float],
@@ -116,7 +117,7 @@ def _point_rows(
     if match == -1:
         far = max_distance * max_distance
         cost = weight * far * scale2 / (scale2 + far)
-    if match >= 0:
+    if match >= 0 and (palm_only == 0 or vertex_chains_in[wp.max(match, 0)] < 0):
         hand = row_hand_in[rowid]
         per_side = points_in.shape[2] // stride
         p = points_in[
@@ -293,6 +294,7 @@ def point_rows(
     weight: float,
     robust_scale: float,
     max_distance: float,
+    palm_only: bool = False,
     rows: wp.array,
     residuals: wp.array,
     chains: wp.array,
@@ -321,6 +323,7 @@ def point_rows(
         weight: Weight of a squared metre.
         robust_scale: Scale of the Geman-McClure weight [m].
         max_distance: Distance at which unmatched points are counted in the energy [m].
+        palm_only: Leave out points matched to fingers.
         rows: Out: weighted Jacobian rows, shape (nrow, >= npoint * directions) vec11.
         residuals: Out: weighted residuals, same shape.
         chains: Out: finger of each residual, -2 for none, same shape.
@@ -333,6 +336,7 @@ def point_rows(
             weight_bones, weights, local_vertices, vertex_chains, angle_bones, row_hand,
             points, matches, vertices, normals, rotations, origins, axes,
             stride, directions, tangent_weight, weight, robust_scale, max_distance,
+            int(palm_only),
         ],
         outputs=[rows, residuals, chains, costs],
         device=rows.device,

@@ -1,0 +1,1 @@
+"""Poses proposed from one depth image: shape-indexed features, regression forests, modes."""

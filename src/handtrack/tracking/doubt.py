@@ -1,0 +1,42 @@
+"""When a tracked pose needs competition: its depth error has jumped, or stays high for long."""
+
+from __future__ import annotations
+
+LEVEL_RATE = 0.05
+"""Share of a frame's depth error in its running level: about 20 frames of memory."""
+
+
+class Doubt:
+    """Watches the depth error over frames."""
+
+    def __init__(self, *, error: float, jump: float, period: int) -> None:
+        """Start without memory.
+
+        Args:
+            error: Depth errors up to this are never doubted [m].
+            jump: Errors above so much of the running level are doubted at once.
+            period: Frames between doubts when the error is high but steady, as with a wrong shape.
+        """
+        self._error, self._jump, self._period = error, jump, period
+        self.forget()
+
+    def forget(self) -> None:
+        """Start anew."""
+        self._level: float | None = None
+        self._since = 0
+
+    def arises(self, error: float) -> bool:
+        """Whether the pose of this frame is to be doubted; once per frame."""
+        self._since += 1
+        if error <= self._error:
+            return False
+        jumped = self._level is not None and error > self._jump * self._level
+        if not jumped and self._since < self._period:
+            return False
+        self._since = 0
+        return True
+
+    def remember(self, error: float) -> None:
+        """Take the error of the pose that was kept into the level."""
+        level = error if self._level is None else self._level
+        self._level = level + LEVEL_RATE * (error - level)
