@@ -102,6 +102,14 @@ def find_hand_regions(
     return _without_doubles(sorted(found, key=lambda region: -region.score))[:max_regions]
 
 
+def wrists_of(regions: list[HandRegion]) -> NDArray[np.float64]:
+    """Where regions join an arm [m], NaN where they stand alone, shape (n, 3)."""
+    nowhere = np.full(3, np.nan)
+    return np.array([
+        nowhere if region.wrist is None else region.wrist for region in regions
+    ]).reshape(-1, 3)  # fmt: skip
+
+
 def region_around(keypoints: ArrayLike, camera: Camera, *, margin: float = 0.04) -> HandRegion:
     """The ball around a hand that was found before, where its next frame is looked for.
 

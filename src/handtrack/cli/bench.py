@@ -24,20 +24,37 @@ class BenchOptions:
     """Measure accuracy and speed together: one table, and a file with every number.
 
     SUITE is one of selftest (two fists, self-occlusion, no noise), tracking (recorded motion with
-    forearm and noise, three subjects), speed (time per frame and stage by number of hypotheses),
+    forearm and noise, three subjects), single-frame (no memory: unseen subjects, any viewpoint),
+    recovery (frames until tracking is back from a scrambled pose), scenes (people, a hand that
+    leaves, a cup instead of a hand), speed (time per frame and stage by number of hypotheses),
     ablation (every switch changed), real (labelled real images, --data); --sequence measures any
     recorded sequence.
+
+    Trackers that find the hand by themselves are never given a pose.
 
     Examples::
 
         handtrack bench selftest --json selftest.json
         handtrack bench tracking --tracker model_based --tracker thesis --curves curves/
+        handtrack bench tracking --tracker model_based --first-pose found --shape mean
+        handtrack bench single-frame --tracker hybrid --pictures pictures/
         handtrack bench real --data recordings/ --pictures pictures/
         handtrack bench --sequence data/demo.npz --tracker model_based --tracker thesis
     """
 
     suite: Annotated[
-        Literal["selftest", "tracking", "speed", "ablation", "real", "sequence"] | None,
+        Literal[
+            "selftest",
+            "tracking",
+            "single-frame",
+            "recovery",
+            "scenes",
+            "speed",
+            "ablation",
+            "real",
+            "sequence",
+        ]
+        | None,
         tyro.conf.Positional,
         tyro.conf.arg(metavar="SUITE"),
     ] = None
@@ -48,10 +65,14 @@ class BenchOptions:
     """Recorded sequence to track: file or folder."""
     start: str = "truth"
     """First pose of --sequence: truth (its labels), or a .json or .npz file with 28 numbers."""
+    first_pose: Literal["truth", "found"] = "truth"
+    """Suite tracking: first pose of each take for trackers that need one, the true one, or what the
+    automatic tracker finds in that frame without memory."""
     side: Literal["right", "left"] | None = None
     """Hand of --sequence; without it what the sequence says, else right."""
-    shape: Literal["given", "mean"] = "given"
-    """Give trackers the subject's shape, or let them make do with the mean hand."""
+    shape: Literal["given", "mean"] | None = None
+    """Give trackers the subject's shape, or let them make do with the mean hand. The suite's own
+    when not given: mean for single-frame, recovery, scenes and real, given for the others."""
     data: Path | None = None
     """Folder with the recordings of others, for the suite real."""
     json: Path | None = None
@@ -61,7 +82,8 @@ class BenchOptions:
     curves: Path | None = None
     """Folder for pictures of error curves; made when it does not exist."""
     pictures: Path | None = None
-    """Folder for overlay pictures of the suites real and sequence; made when it does not exist."""
+    """Folder for overlay pictures of single-frame, scenes, real and sequence; made when it does not
+    exist."""
     quick: bool = False
     """Run a small part only, to see that everything works; its numbers mean little."""
     cold: bool = False
@@ -101,7 +123,8 @@ def run(options: BenchOptions) -> int:
     device = compute_device(options.device)
     settings = SuiteSettings(
         trackers=options.tracker, device=device.alias, seed=options.seed, quick=options.quick,
-        shape=options.shape, data=options.data, cold=options.cold, progress=progress,
+        shape=options.shape, first_pose=options.first_pose, data=options.data, cold=options.cold,
+        progress=progress,
     )  # fmt: skip
     if options.sequence is None:
         result = run_suite(suite, settings)
@@ -149,10 +172,8 @@ def _recorded(sequence: Sequence, options: BenchOptions) -> RecordedFrames:
         starts = {labelled.index: labelled_pose(labelled.truth, hand, model)}
         told = f"labels of frame {labelled.index}"
     else:
-        raise InputError(
-            f"{options.sequence} has no labels that tell the first pose: give it with --start "
-            "POSE.json (28 numbers) or --start results.npz"
-        )
+        # Whether that is enough depends on the tracker.
+        starts, told = {}, "none"
     return RecordedFrames(
         # A recording has a length and numbered frames, all that a run asks of it.
         name=sequence.name, frames=cast("Frames[DepthFrame]", sequence), starts=starts, side=side,
@@ -224,14 +245,20 @@ def _lines(result: SuiteResult) -> Iterable[str]:
 
 
 def _draw_curves(folder: Path, result: SuiteResult) -> None:
-    """Write the share of frames over the distance, and the error over the frames."""
+    """Write the suite's own curves, the share of frames over the distance, the error over time."""
     from handtrack.evaluation.curves import (
+        draw_curves,
         draw_errors_over_time,
         draw_success_curves,
         write_picture,
     )
 
     folder.mkdir(parents=True, exist_ok=True)
+    for curves in result.curves:
+        picture = draw_curves(
+            curves.lines, curves.xlabel, curves.ylabel, curves.title, y_range=curves.y_range
+        )
+        write_picture(folder / f"{result.suite}-{curves.name}.png", picture)
     if not result.errors_mm:
         return
     title = f"{result.suite}: frames whose worst joint is within a distance"
@@ -250,10 +277,13 @@ def _draw_overlays(folder: Path, result: SuiteResult) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     for overlay in result.overlays:
-        painter = OverlayPainter(overlay.hand, overlay.camera, style=PictureStyle(zoom=0.35))
-        picture = painter.paint(
-            overlay.depth, overlay.pose, title=overlay.name, lines=[(overlay.text, (240, 240, 240))]
+        painter = OverlayPainter(
+            overlay.hand, overlay.camera, style=PictureStyle(zoom=overlay.zoom)
         )
+        picture = painter.paint(
+            overlay.depth, overlay.pose, title=overlay.name,
+            lines=[(overlay.text, (240, 240, 240))], lost=overlay.lost,
+        )  # fmt: skip
         write_picture(folder / f"{overlay.name}.png", picture)
 
 
@@ -263,7 +293,9 @@ def _command(options: BenchOptions) -> str:
     if options.sequence is not None:
         words += ["--sequence"] * (options.suite is not None) + [Path(options.sequence).name]
     words += [word for name in options.tracker for word in ("--tracker", name)]
-    if options.shape != "given":
+    if options.first_pose != "truth":
+        words += ["--first-pose", options.first_pose]
+    if options.shape is not None:
         words += ["--shape", options.shape]
     if options.seed:
         words += ["--seed", str(options.seed)]

@@ -26,8 +26,8 @@ class TrainForestOptions:
     """Where to write the forest, FILE.npz."""
     work: Path = Path("out/forest")
     """Folder of rendered crops and grown trees; crops serve any forest of the same preset."""
-    preset: Literal["small", "medium", "paper"] = "small"
-    """small (1,000 frames, minutes), medium (48,000) or paper (320,000 frames)."""
+    preset: Literal["small", "medium", "large", "paper"] = "small"
+    """small (1,000 frames, minutes), medium (48,000), large (120,000) or paper (320,000 frames)."""
     features: Literal["shape-indexed", "pose-indexed"] = "shape-indexed"
     """Reference points on mesh vertices (Eq. II.15), or on frame origins (Eq. II.14)."""
     structure: Literal["hierarchical", "holistic"] = "hierarchical"
@@ -60,6 +60,7 @@ def run(options: TrainForestOptions) -> int:
     from handtrack.evaluation.report import versions
     from handtrack.forest.config import PRESETS
     from handtrack.forest.crops import load_crops, prepare_crops
+    from handtrack.forest.scenes import load_regions, prepare_regions
     from handtrack.forest.training import ForestTrainer
     from handtrack.synthesis.dataset import SyntheticDataset
 
@@ -72,6 +73,7 @@ def run(options: TrainForestOptions) -> int:
     config = replace(
         preset,
         dataset=replace(preset.dataset, seed=options.seed),
+        scenes=replace(preset.scenes, seed=1000 + options.seed),
         forest=replace(preset.forest, features=options.features, structure=options.structure),
         seed=options.seed,
     )
@@ -79,12 +81,16 @@ def run(options: TrainForestOptions) -> int:
     with counting(len(config.dataset), "rendering") as count:
         for done, _ in prepare_crops(config.dataset, config.forest, folder, jobs=options.jobs):
             count(done, "rendering")
-    crops = load_crops(folder)
+    scenes = options.work / "scenes"
+    with counting(len(config.scenes), "scenes") as count:
+        for done, _ in prepare_regions(config.scenes, config.forest, scenes, jobs=options.jobs):
+            count(done, "scenes")
+    crops, regions = load_crops(folder), load_regions(scenes)
     dataset = SyntheticDataset(config.dataset, device=device.alias)
     begin = time.perf_counter()
     trainer = ForestTrainer(
-        config, crops, dataset.subjects(), options.work / "trees", device=device.alias,
-        threads=options.jobs,
+        config, crops, dataset.subjects(), options.work / "trees", regions=regions,
+        device=device.alias, threads=options.jobs,
     )  # fmt: skip
     with counting(trainer.tree_count, "growing trees") as count:
         forest = trainer.run(count)

@@ -46,6 +46,16 @@ _COLUMNS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("in 40 mm", ("success_rate", "40"), "{:.1%}"),
     ("lost", ("lost_rate",), "{:.1%}"),
     ("missing", ("missing_rate",), "{:.1%}"),
+    ("mean in 20 mm", ("within_20mm",), "{:.1%}"),
+    ("facing", ("facing_within_20mm",), "{:.1%}"),
+    ("back in 1", ("within_1",), "{:.1%}"),
+    ("back in 5", ("within_5",), "{:.1%}"),
+    ("sure but wrong", ("confident_wrong",), "{:.2%}"),
+    ("longest", ("longest_wrong",), "{:d}"),
+    ("search", ("longest_search",), "{:d}"),
+    ("never found", ("never_found",), "{:d}"),
+    ("tips mm", ("tip_error_mm", "mean"), "{:.1f}"),
+    ("worst tip mm", ("tip_error_mm", "max"), "{:.1f}"),
     ("frames/s", ("frames_per_second",), "{:.1f}"),
     ("p50 ms", ("latency_ms", "p50"), "{:.2f}"),
     ("p95 ms", ("latency_ms", "p95"), "{:.2f}"),
@@ -61,7 +71,11 @@ _GROUPS: dict[str, tuple[str, ...]] = {
 }
 """Groups of numbers and the entries each must have."""
 
-_RATES = ("lost_rate", "missing_rate")
+_RATES = (
+    "lost_rate", "missing_rate", "within_20mm", "facing_within_20mm", "within_1", "within_5",
+    "confident_wrong",
+)  # fmt: skip
+"""Entries that are shares."""
 
 
 def check_case(case: Case) -> None:

@@ -28,6 +28,7 @@ COLUMNS: tuple[str, ...] = (
     "frame", "time_s", "state", "depth_error_m",
     "tx_m", "ty_m", "tz_m", "qw", "qx", "qy", "qz", *(f"{name}_rad" for name in ANGLES),
     *(f"{name}_{axis}_m" for name in KEYPOINTS for axis in "xyz"),
+    *(f"{name}_std_m" for name in KEYPOINTS),
 )  # fmt: skip
 """Columns of results.csv."""
 
@@ -74,6 +75,11 @@ class RunRecord:
     def keypoints(self) -> NDArray[np.float32]:
         """Keypoints [m], shape (n, 21, 3); NaN where no hand was found."""
         return np.stack([result.keypoints for result in self.results])
+
+    @property
+    def keypoint_std(self) -> NDArray[np.float32]:
+        """One sigma of each keypoint [m], shape (n, 21); NaN where it is not known."""
+        return np.stack([result.keypoint_std for result in self.results])
 
     @property
     def depth_errors(self) -> NDArray[np.float64]:
@@ -134,6 +140,7 @@ class RunRecord:
             "pose": np.stack([result.pose for result in self.results]),
             "pose_names": np.array(POSE),
             "keypoints": self.keypoints,
+            "keypoint_std": self.keypoint_std,
             "keypoint_names": np.array(KEYPOINTS),
             "timing_names": np.array(stages, dtype=str),
             "timings_ms": np.array(
@@ -154,7 +161,9 @@ class RunRecord:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(COLUMNS)
         for frame, time, result in zip(self.frames, self.times, self.results, strict=True):
-            numbers = [result.depth_error, *result.pose, *result.keypoints.ravel()]
+            numbers = [
+                result.depth_error, *result.pose, *result.keypoints.ravel(), *result.keypoint_std
+            ]  # fmt: skip
             cells = [f"{number:.7g}" if np.isfinite(number) else "" for number in numbers]
             writer.writerow([frame, f"{time:.6f}", result.state.value, *cells])
         return text.getvalue()

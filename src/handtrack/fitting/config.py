@@ -48,6 +48,10 @@ class FitConfig:
     wrist_cut: float = 0.0
     """Palm-frame x below which observed points are the forearm's [m]; 0 is the wrist joint."""
 
+    forearm_radius: float = 0.055
+    """Points behind the wrist and farther than this from the forearm's axis are held against the
+    pose in E_d [m]; without it a hand turned round would hide the true one behind its wrist."""
+
     iterations: int = 10
     """Gauss-Newton steps per frame."""
     point_weight: float = 1.0
@@ -64,6 +68,10 @@ class FitConfig:
     has 0.2; more filters sensor noise, and lags behind fast motion."""
     limit_weight: float = 1000.0
     """lambda_3 of Eq. II.21: weight of squared excess over a joint limit [1/rad^2]."""
+
+    palm_only: bool = False
+    """Move the palm alone: points matched to fingers do not count, and angles stay (II.5.1, step
+    1)."""
 
     silhouette_weight: float = 0.3
     """Weight of model vertices over the background [1/cm^2]; 0 switches the term off."""

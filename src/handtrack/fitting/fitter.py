@@ -20,6 +20,7 @@ from handtrack.device import FrameGraph, resolve_device
 from handtrack.errors import InputError
 from handtrack.fitting.config import FitConfig
 from handtrack.fitting.spheres import CollisionSpheres
+from handtrack.fitting.uncertainty import FitInformation
 from handtrack.fitting.workspace import HandArrays, RowArrays, point_directions
 from handtrack.hand.device_hand import DeviceHand
 from handtrack.hand.model import ShapedHand
@@ -127,8 +128,13 @@ class Fitter:
 
     def set_smoothness(self, weight: float) -> None:
         """Weight of staying near the reference pose (lambda_2), for all hands."""
-        weights = np.tile(self._unknown_weights(weight, weight), (self.nhand, 1))
-        self.image.smooth.assign(weights)
+        self._smooth = self._unknown_weights(weight, weight)
+        self.image.smooth.assign(np.tile(self._smooth, (self.nhand, 1)))
+
+    def resize(self, hands: Sequence[ShapedHand]) -> None:
+        """Go on with the same hands at other scales, one per depth image."""
+        self.hand.resize(hands)
+        self.spheres.resize(hands)
 
     def load_depth(self, depth: ArrayLike) -> None:
         """Copy depth images [m], shape (nhand, height, width) or (height, width), to the device.
@@ -147,18 +153,10 @@ class Fitter:
         """
         centres = _shaped("centres", centres, (self.nhand, 3), np.float64)
         camera, config = self.camera, self.config
-        n = config.crop_cells
-        z = np.maximum(centres[:, 2], 0.05)
-        pixel = np.stack([camera.fx, camera.fy]) * centres[:, :2] / z[:, None]
-        pixel += np.array([camera.cx, camera.cy])
-        # Never finer than the camera's own pixels.
-        step = np.maximum(config.crop_span * camera.fx / z / n, 1.0)
-        start = pixel - step[:, None] * (n - 1) / 2
-        crops = np.zeros((self.nhand, crop.CROP_SIZE), np.float32)
-        crops[:, 0], crops[:, 1] = camera.fx / step, camera.fy / step
-        crops[:, 2] = (camera.cx - start[:, 0]) / step
-        crops[:, 3] = (camera.cy - start[:, 1]) / step
-        crops[:, 4:6], crops[:, 6] = start, step
+        crops = crop.crop_parameters(
+            (camera.fx, camera.fy, camera.cx, camera.cy), centres,
+            cells=config.crop_cells, span=config.crop_span,
+        )  # fmt: skip
         gates = np.column_stack([centres, np.full(self.nhand, config.gate_radius)])
         _put(self.image.crops, crops)
         _put(self.image.gates, gates.astype(np.float32))
@@ -207,6 +205,26 @@ class Fitter:
     def errors(self) -> NDArray[np.float32]:
         """Depth error E_d of each row [m] (Eq. II.19), shape (nrow,); a copy."""
         return np.array(self.rows.errors.numpy(), np.float32)
+
+    def information(self, row: int) -> FitInformation:
+        """What a row's last Gauss-Newton step knew, for `keypoint_deviation`; copies.
+
+        Args:
+            row: The row, such as the one of the lowest error.
+        """
+        rows, config = self.rows, self.config
+        kept = rows.best_hessian if config.levenberg else rows.hessian
+        hessian = kept.numpy()[row].astype(np.float64)
+        # Staying near the last pose is a wish, not something that was seen.
+        hessian[np.diag_indices(NV)] -= self._smooth
+        depth = max(float(rows.pose.numpy()[row, 2]), 0.0)
+        cell = max(config.crop_span / config.crop_cells, depth / self.camera.fx)
+        return FitInformation(
+            hessian=hessian / (SQUARE_METRE * (config.point_weight or 1.0)),
+            unexplained=float(rows.errors.numpy()[row]) / config.score_cap,
+            area=float(rows.counts.numpy()[row]) * (config.score_scale * cell) ** 2,
+            spacing=config.point_stride * cell,
+        )
 
     def _launch_prepare(self) -> None:
         image, config = self.image, self.config
@@ -286,7 +304,8 @@ class Fitter:
             stride=config.point_stride, directions=directions,
             tangent_weight=config.tangent_weight, weight=config.point_weight * SQUARE_METRE,
             robust_scale=robust_scale, max_distance=config.max_distance,
-            rows=rows.rows, residuals=rows.residuals, chains=rows.chains, costs=rows.costs,
+            palm_only=config.palm_only, rows=rows.rows, residuals=rows.residuals,
+            chains=rows.chains, costs=rows.costs,
         )  # fmt: skip
         if config.silhouette_weight > 0 or config.front_weight > 0:
             npoint = rows.matches.shape[1]
@@ -357,7 +376,8 @@ class Fitter:
         score.score_depth(
             rows.row_hand, rows.keys, self.image.cells, self.image.points,
             rows.rotations, rows.origins, scale=config.score_scale, cap=config.score_cap,
-            wrist_x=config.wrist_cut, errors=rows.errors, counts=rows.counts,
+            wrist_x=config.wrist_cut, forearm_radius=config.forearm_radius,
+            forearms=rows.forearms, errors=rows.errors, counts=rows.counts,
         )  # fmt: skip
 
 

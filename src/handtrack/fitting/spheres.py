@@ -31,6 +31,12 @@ class CollisionSpheres:
         """Number of spheres per hand."""
         return self.bones.shape[0]
 
+    def resize(self, hands: Sequence[ShapedHand]) -> None:
+        """Overwrite centres and radii, in place, with those of hands that differ in scale alone."""
+        fitted = [finger_spheres(hand) for hand in hands]
+        self.centres.assign(np.stack([centres for _, centres, _ in fitted]).astype(np.float32))
+        self.radii.assign(np.stack([radii for *_, radii in fitted]).astype(np.float32))
+
     @classmethod
     def build(cls, hands: Sequence[ShapedHand], device: wp.Device) -> CollisionSpheres:
         """Fit spheres to each hand's skin, centred in the flesh along every finger bone."""

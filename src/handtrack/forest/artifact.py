@@ -71,6 +71,9 @@ class Forest:
     """Stages of the palm, or of the whole hand when `config.structure` is holistic."""
     fingers: tuple[ForestStage, ...] = ()
     """Stages of the fingers; none when holistic."""
+    presence: ForestStage | None = None
+    """Trees that judge regions: the first coordinate of their updates is the chance that a hand is
+    there; None when that was not learnt."""
     facts: dict[str, Any] = field(default_factory=dict)
     """How it was trained: command, seed, time, machine, licence."""
 
@@ -82,8 +85,10 @@ class Forest:
     def save(self, path: str | Path) -> None:
         """Write the forest to an .npz file, complete or not at all."""
         arrays: dict[str, NDArray] = {"anchor_vertices": self.anchor_vertices.astype(np.int16)}
-        for group in ("palm", "fingers"):
-            for number, stage in enumerate(getattr(self, group)):
+        groups = {"palm": self.palm, "fingers": self.fingers}
+        groups["presence"] = () if self.presence is None else (self.presence,)
+        for group, stages in groups.items():
+            for number, stage in enumerate(stages):
                 for name, dtype in _SMALL.items():
                     arrays[f"{group}_{number}_{name}"] = getattr(stage, name).astype(dtype)
         facts = {"config": asdict(self.config), **self.facts}
@@ -119,6 +124,7 @@ class Forest:
                     anchor_vertices=data["anchor_vertices"].astype(np.int32),
                     palm=_stages(data, "palm"),
                     fingers=_stages(data, "fingers"),
+                    presence=next(iter(_stages(data, "presence")), None),
                     facts=facts,
                 )
             _check(forest)
@@ -145,7 +151,15 @@ def _check(forest: Forest) -> None:
     """Raise ValueError where an index would lead a kernel out of its arrays."""
     if not forest.palm or (not forest.holistic and not forest.fingers):
         raise ValueError("stages are missing")
-    for group in (forest.palm, forest.fingers):
+    presence = () if forest.presence is None else (forest.presence,)
+    joints, modes = len(FINGER_KEYPOINTS), forest.config.leaf_modes
+    moved = len(PALM_KEYPOINTS) + joints * forest.holistic
+    if forest.anchor_vertices.ndim != 1 or forest.anchor_vertices.min(initial=0) < 0:
+        raise ValueError("anchor_vertices are not numbers of vertices")
+    for group, parts, output in (
+        (forest.palm, 1, (modes, moved, 3)), (forest.fingers, 5, (1, joints // 5, 3)),
+        (presence, 1, (1, 1, 3)),
+    ):  # fmt: skip
         for stage in group:
             npart, npoint = stage.anchors.shape
             nnode, nleaf = len(stage.children), len(stage.updates)
@@ -161,7 +175,12 @@ def _check(forest: Forest) -> None:
             # Children after parents: traversal ends.
             if (stage.children[inner] <= np.flatnonzero(inner)).any():
                 raise ValueError("a node's child does not follow it")
+            # All stages of a group share the arrays that rows allocate for the first.
+            each = len(group[0].roots) // parts
             shapes = (
+                (npart, npoint) == (parts, forest.config.points), 0 < each <= 64,
+                np.array_equal(stage.tree_parts, np.repeat(np.arange(parts), each)),
+                stage.updates.shape == (nleaf, *output), stage.children.shape == (nnode,),
                 stage.offsets.shape == (npart, npoint, 3), stage.thresholds.shape == (nnode,),
                 stage.node_points.shape == (nnode, 2), stage.roots.shape == stage.tree_parts.shape,
                 stage.leaf_weights.shape == stage.updates.shape[:2],

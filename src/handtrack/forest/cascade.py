@@ -26,6 +26,7 @@ from handtrack.forest.rows import (
     PalmVotes,
     StageRows,
     launch_starts,
+    region_poses,
 )
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.side import mirror_pose
@@ -78,6 +79,8 @@ class Cascade:
         self._hands = uploaded
         self._palm = [DeviceStage.upload(stage, self.device) for stage in forest.palm]
         self._fingers = [DeviceStage.upload(stage, self.device) for stage in forest.fingers]
+        self._presence: DeviceStage | None = None
+        self._mean_hand = hands[0]
 
         def rows(per_image: int, parts: NDArray, trees: int, pose: wp.array | None = None):
             image = np.repeat(np.arange(len(hands)), per_image)
@@ -86,6 +89,10 @@ class Cascade:
                 trees=trees, pose=pose,
             )  # fmt: skip
 
+        if forest.presence is not None:
+            self._presence = DeviceStage.upload(forest.presence, self.device)
+            self._chances = forest.presence.updates[:, 0, 0, 0]
+            self._regions = rows(1, PALM_PART, self._presence.tree_count)
         trees = self._palm[0].tree_count
         self._starts = rows(NSTART, PALM_PART, trees)
         self._start_poses = self._starts.pose.reshape((len(hands), NSTART, 28))
@@ -105,20 +112,31 @@ class Cascade:
         self._palm_graph = FrameGraph(self._launch_palms, self.device, graph=graph)
         self._finger_graph = FrameGraph(self._launch_fingers, self.device, graph=graph)
 
-    def load(self, depth: NDArray[np.float32], centres: ArrayLike) -> None:
+    def resize(self, hands: Sequence[ShapedHand]) -> None:
+        """Go on with the same right hands at other scales, one per image."""
+        self._hands.resize(hands)
+
+    def load(
+        self, depth: NDArray[np.float32], centres: ArrayLike, wrists: ArrayLike | None = None
+    ) -> None:
         """Copy images to the device and lay a crop around each expected hand.
 
         Args:
             depth: Depth [m], shape (nimage, height, width), or (height, width) for all images.
             centres: About the middle of what is seen of each hand [m], shape (nimage, 3).
+            wrists: Where it joins an arm [m], NaN where it does not, same shape; for `presence`.
         """
         centres = np.asarray(centres, np.float64).reshape(self.image_count, 3)
         self._cropper.depth.assign(np.broadcast_to(depth, self._cropper.depth.shape))
         self._cropper.place(centres)
-        gates = np.column_stack([centres, np.full(len(centres), self._gate_radius)])
+        ends = np.full_like(centres, np.nan) if wrists is None else np.asarray(wrists, np.float64)
         if self._left:
-            gates[:, 0] *= -1.0
+            centres, ends = centres * _MIRROR, ends * _MIRROR
+        gates = np.column_stack([centres, np.full(len(centres), self._gate_radius)])
         self._images.gates.assign(gates.astype(np.float32))
+        if self._presence is not None:
+            poses = region_poses(centres, ends, self._mean_hand)
+            self._regions.pose.assign(poses.astype(np.float32))
 
     def run_palms(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
         """Palms in the loaded images.
@@ -131,6 +149,15 @@ class Cascade:
         wp.synchronize_device(self.device)
         weights = self._later.mode_weights if len(self._palm) > 1 else self._first.mode_weights
         return self._poses(), weights.numpy().copy()
+
+    def presence(self) -> NDArray[np.float64]:
+        """Chance that a hand is in each place that `run_palms` looked at, shape (nimage,).
+
+        1 where the forest has not learnt what is no hand.
+        """
+        if self._presence is None:
+            return np.ones(self.image_count)
+        return self._chances[self._regions.leaves.numpy()].mean(axis=1, dtype=np.float64)
 
     def run_fingers(self, poses: ArrayLike) -> NDArray[np.float64]:
         """Bend the fingers under given palms.
@@ -167,6 +194,9 @@ class Cascade:
             votes.launch_points()
             votes.launch_modes(stage)
             votes.launch_poses(self._palms, self._moves if self._holistic else None)
+        if self._presence is not None:
+            self._regions.launch_values(self._presence.anchors, self._presence.offsets)
+            self._regions.launch_leaves(self._presence)
 
     def _launch_fingers(self) -> None:
         for stage in self._fingers:

@@ -39,6 +39,10 @@ class ForestConfig:
     """Samples of a node at most on which a feature is judged."""
     leaf_modes: int = 2
     """Modes kept per leaf of the palm's forest."""
+    presence_trees: int = 30
+    """Trees that tell hands from other regions."""
+    presence_candidates: int = 600
+    """Features that these try per node."""
     bag: float = 0.65
     """Share of samples that a tree learns from; the others tell the next stage honestly what this
     one leaves over."""
@@ -70,7 +74,10 @@ class ForestConfig:
             )
         if self.structure not in ("hierarchical", "holistic"):
             raise InputError(f"structure is {self.structure!r}; expected hierarchical or holistic")
-        for name in ("stages", "trees", "depth", "min_leaf", "candidates", "node_samples", "modes"):
+        for name in (
+            "stages", "trees", "depth", "min_leaf", "candidates", "node_samples", "modes",
+            "presence_trees", "presence_candidates",
+        ):  # fmt: skip
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least 1")
         if not 1 <= self.leaf_modes <= 4 or not 2 <= self.points <= 4096:
@@ -80,6 +87,11 @@ class ForestConfig:
             )
         if not 0 < self.bag < 1:
             raise InputError(f"bag is {self.bag}; expected between 0 and 1")
+        if self.trees > 64 or self.depth_range > 0.3:
+            raise InputError(
+                f"trees and depth_range are {self.trees} and {self.depth_range}; expected at most "
+                "64, of which medians are taken, and 0.3 m, which 16 bits hold"
+            )
         for name in ("crop_span", "gate_radius", "depth_range", "mode_radius"):
             if not 0 < getattr(self, name) < 10:
                 raise InputError(f"{name} is {getattr(self, name)}; expected metres above 0")
@@ -95,12 +107,19 @@ class TrainingConfig:
     """The forest."""
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
     """Labelled frames."""
+    scenes: DatasetConfig = field(
+        default_factory=lambda: DatasetConfig(subjects=40, poses=100, viewpoints=2, seed=1000)
+    )
+    """Hands of the scenes from which the forest learns what is no hand."""
     starts: int = 2
     """Start poses per frame that the palm's forest learns from, of the four that the axes allow."""
-    centre_spread: float = 0.012
+    centre_spread: float = 0.02
     """Deviation of the expected hand's centre from what is seen of the hand [m]."""
-    forearm_shift: float = 0.04
+    forearm_shift: float = 0.09
     """Farthest that centre slips towards the forearm [m]."""
+    mean_share: float = 0.5
+    """Share of frames that are learnt with the mean hand's mesh instead of the subject's own, as
+    trackers see people whose shape they do not know."""
     palm_spread: float = 0.006
     """Deviation of the palm under which fingers are learnt [m]."""
     palm_turn: float = 0.12
@@ -111,10 +130,14 @@ class TrainingConfig:
 
 PRESETS: dict[str, TrainingConfig] = {
     "small": TrainingConfig(
-        forest=ForestConfig(trees=5, depth=10, points=200, candidates=80),
+        forest=ForestConfig(
+            trees=5, depth=10, points=200, candidates=80, presence_trees=5, presence_candidates=80
+        ),
         dataset=DATASETS["small"],
+        scenes=DatasetConfig(subjects=4, poses=25, viewpoints=2, seed=1000),
     ),
     "medium": TrainingConfig(dataset=DatasetConfig(subjects=80, poses=150, viewpoints=4)),
+    "large": TrainingConfig(dataset=DatasetConfig(subjects=200, poses=300, viewpoints=2)),
     "paper": TrainingConfig(dataset=DATASETS["paper"]),
 }
-"""Minutes for tests; about an hour on two cores; the thesis' 320,000 frames."""
+"""1,000 frames, minutes, for tests; 48,000; 120,000; the thesis' 320,000 frames."""

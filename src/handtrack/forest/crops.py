@@ -7,12 +7,13 @@ frames stay below 8 GB. Files are made one by one, in parallel, and again only w
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
@@ -44,6 +45,9 @@ SAME_SURFACE = 0.015
 
 _BATCH = 50
 
+Arrays = TypeVar("Arrays")
+"""A dataclass of arrays with the frames along the first axis."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingCrops:
@@ -60,10 +64,6 @@ class TrainingCrops:
 
     def __len__(self) -> int:
         return len(self.cells)
-
-    def take(self, rows: NDArray) -> TrainingCrops:
-        """Some of the frames."""
-        return TrainingCrops(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
 class Cropper:
@@ -111,6 +111,28 @@ class Cropper:
             cells=self.cells, points=self.points,
         )  # fmt: skip
 
+    def cut(
+        self, depth: NDArray[np.float32], centres: NDArray
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Crops of at most as many images as it was made for.
+
+        Args:
+            depth: Depth [m], shape (n, height, width).
+            centres: Centres [m], camera frame, shape (n, 3).
+
+        Returns:
+            Cells [m], shape (n, cells, cells), and fx, fy, cx, cy of their grids, shape (n, 4).
+        """
+        count = len(depth)
+        padded = np.zeros(self.depth.shape, np.float32)
+        padded[:count] = depth
+        places = np.tile([0.0, 0.0, 1.0], (len(padded), 1))
+        places[:count] = centres
+        self.depth.assign(padded)
+        self.place(places)
+        self.launch()
+        return self.cells.numpy()[:count].copy(), self.crops.numpy()[:count, :4].copy()
+
 
 def prepare_crops(
     dataset: DatasetConfig, forest: ForestConfig, folder: Path, *, jobs: int = 1
@@ -129,29 +151,67 @@ def prepare_crops(
     Raises:
         InputError: The folder holds crops of another data set.
     """
-    total = len(dataset)
     if dataset.side != "right":
         raise InputError("forests learn from right hands; left ones are mirrored when tracked")
-    _claim(folder, dataset, forest)
-    starts = range(0, total, SHARD_FRAMES)
-    missing = [start for start in starts if not _is_complete(_path(folder, start))]
-    done = total - sum(min(SHARD_FRAMES, total - start) for start in missing)
+    facts = {
+        "fingerprint": SyntheticDataset(dataset, device="cpu").fingerprint,
+        "crop_cells": forest.crop_cells, "crop_span": forest.crop_span,
+        "gate_radius": forest.gate_radius, "dataset": asdict(dataset),
+    }  # fmt: skip
+    write = partial(_write_shard, dataset, forest, folder)
+    yield from prepare_shards(folder, facts, len(dataset), write, jobs=jobs)
+
+
+def prepare_shards(
+    folder: Path, facts: dict[str, Any], total: int, write: Callable[[int], object], *, jobs: int
+) -> Iterator[tuple[int, int]]:
+    """Make the files of a folder that are missing.
+
+    Args:
+        folder: Where to keep them; made if it does not exist.
+        facts: What the folder holds, for comparing with what it says.
+        total: Frames in all.
+        write: Makes the file that starts with a frame, at `shard_file`.
+        jobs: Processes that do so.
+
+    Yields:
+        Frames done, and frames in all.
+
+    Raises:
+        InputError: The folder holds something else.
+    """
+    _claim(folder, facts)
+    missing = [
+        start for start in range(0, total, SHARD_FRAMES)
+        if not _is_complete(shard_file(folder, start))
+    ]  # fmt: skip
+
+    def size(start: int) -> int:
+        return min(SHARD_FRAMES, total - start)
+
+    done = total - sum(map(size, missing))
     yield done, total
-    work = partial(_write_shard, dataset, forest, folder)
     if jobs == 1:
         for start in missing:
-            done += work(start)
+            write(start)
+            done += size(start)
             yield done, total
         return
     # Forked processes would share Warp's runtime.
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        for made in as_completed([pool.submit(work, start) for start in missing]):
-            done += made.result()
+        work = {pool.submit(write, start): start for start in missing}
+        for made in as_completed(work):
+            made.result()
+            done += size(work[made])
             yield done, total
 
 
-def load_crops(folder: Path) -> TrainingCrops:
-    """All crops of a folder; cells are read into memory.
+def load_shards(folder: Path, kind: type[Arrays]) -> Arrays:
+    """All files of a folder, joined; read into memory.
+
+    Args:
+        folder: Where they are.
+        kind: Dataclass of arrays whose fields the files hold.
 
     Raises:
         DamagedFileError: A file cannot be read.
@@ -160,28 +220,36 @@ def load_crops(folder: Path) -> TrainingCrops:
     paths = sorted(folder.glob("crops-*.npz"))
     if not paths:
         raise InputError(f"{folder} holds no crops: expected crops-*.npz")
-    parts: dict[str, list[NDArray]] = {field.name: [] for field in fields(TrainingCrops)}
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    parts: dict[str, list[NDArray]] = {name: [] for name in names}
     for path in paths:
         try:
             with np.load(path, allow_pickle=False) as data:
-                for name, values in parts.items():
-                    values.append(data[name])
+                for name in names:
+                    parts[name].append(data[name])
         except UNREADABLE as error:
             raise DamagedFileError(f"{path} does not hold crops: {error}") from error
-    return TrainingCrops(**{name: np.concatenate(values) for name, values in parts.items()})
+    return kind(**{name: np.concatenate(values) for name, values in parts.items()})
 
 
-def _path(folder: Path, start: int) -> Path:
+def load_crops(folder: Path) -> TrainingCrops:
+    """All crops that `prepare_crops` made; see `load_shards`."""
+    return load_shards(folder, TrainingCrops)
+
+
+def shard_file(folder: Path, start: int) -> Path:
+    """File that starts with a frame."""
     return folder / f"crops-{start:07d}.npz"
 
 
-def _claim(folder: Path, dataset: DatasetConfig, forest: ForestConfig) -> None:
+def write_shard(path: Path, arrays: object) -> None:
+    """Write a dataclass of arrays; stored, not compressed, for it is read again and again."""
+    with whole_file(path) as file:
+        np.savez(file, **{f.name: getattr(arrays, f.name) for f in fields(arrays)})  # type: ignore[arg-type]
+
+
+def _claim(folder: Path, facts: dict[str, Any]) -> None:
     """Say what a folder holds, or compare with what it says."""
-    facts = {
-        "fingerprint": SyntheticDataset(dataset, device="cpu").fingerprint,
-        "crop_cells": forest.crop_cells, "crop_span": forest.crop_span,
-        "gate_radius": forest.gate_radius, "dataset": asdict(dataset),
-    }  # fmt: skip
     told = folder / "crops.json"
     text = json.dumps(facts, indent=1) + "\n"
     if told.is_file():
@@ -199,27 +267,25 @@ def _is_complete(path: Path) -> bool:
     """Whether a file is there and readable; files are written as a whole."""
     try:
         with np.load(path, allow_pickle=False) as data:
-            return all(field.name in data.files for field in fields(TrainingCrops))
+            return len(data.files) > 0
     except UNREADABLE:
         return False
 
 
-def _write_shard(dataset: DatasetConfig, forest: ForestConfig, folder: Path, start: int) -> int:
-    """Render the frames of one file; returns how many."""
+def _write_shard(dataset: DatasetConfig, forest: ForestConfig, folder: Path, start: int) -> None:
+    """Render the frames of one file."""
     made = SyntheticDataset(dataset, device="cpu")
     stop = min(start + SHARD_FRAMES, len(dataset))
     cropper = Cropper(dataset.camera, forest, _BATCH, device=resolve_device("cpu"))
-    parts: list[TrainingCrops] = []
-    for batch in made.batches(start, stop, size=_BATCH):
-        parts.append(crops_of(cropper, batch.depth, batch.keypoints, batch.poses, batch.subject))
-    with whole_file(_path(folder, start)) as file:
-        # Stored, not compressed: it is read again and again.
-        np.savez(
-            file,
-            **{f.name: np.concatenate([getattr(part, f.name) for part in parts])
-               for f in fields(TrainingCrops)},
-        )  # fmt: skip
-    return stop - start
+    parts = [
+        crops_of(cropper, batch.depth, batch.keypoints, batch.poses, batch.subject)
+        for batch in made.batches(start, stop, size=_BATCH)
+    ]  # fmt: skip
+    joined = {
+        f.name: np.concatenate([getattr(part, f.name) for part in parts])
+        for f in fields(TrainingCrops)
+    }  # fmt: skip
+    write_shard(shard_file(folder, start), TrainingCrops(**joined))
 
 
 def crops_of(
@@ -238,20 +304,11 @@ def crops_of(
         poses: True poses, shape (n, 28).
         subjects: Subject of each frame, shape (n,).
     """
-    count, size = len(depth), cropper.cells.shape[0]
-    padded = np.zeros(cropper.depth.shape, np.float32)
-    padded[:count] = depth
-    centres = np.tile(np.array([0.0, 0.0, 1.0]), (size, 1))
-    centres[:count] = palm_centre(keypoints)
-    cropper.depth.assign(padded)
-    cropper.place(centres)
-    cropper.launch()
+    cells, cameras = cropper.cut(depth, palm_centre(keypoints))
     return TrainingCrops(
-        cells=encode_cells(cropper.cells.numpy()[:count]),
-        cameras=cropper.crops.numpy()[:count, :4].copy(),
-        poses=poses.astype(np.float32),
-        subjects=subjects.astype(np.int32),
-    )
+        cells=encode_cells(cells), cameras=cameras,
+        poses=poses.astype(np.float32), subjects=subjects.astype(np.int32),
+    )  # fmt: skip
 
 
 def encode_cells(cells: NDArray[np.float32]) -> NDArray[np.uint16]:

@@ -19,6 +19,7 @@ from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import BASE_BONES, FINGERS, NANGLE, NBONE
 from handtrack.kernels import finger_ik, forest_features, forest_votes, kinematics, skinning
+from handtrack.transforms import matrix_to_quat
 
 NFINGER = len(FINGERS)
 
@@ -51,9 +52,7 @@ class ForestHands:
         cls, hands: Sequence[ShapedHand], anchor_vertices: NDArray, device: wp.Device
     ) -> ForestHands:
         """Copy right hands to a device."""
-        rest = np.zeros(28)
-        rest[3] = 1.0
-        points = np.stack([keypoints(hand, rest)[list(PALM_KEYPOINTS)] for hand in hands])
+        points = _palm_points(hands)
         angles = np.stack([hand.rest_angles for hand in hands])
         return cls(
             arrays=DeviceHand.upload(hands, device, vertices=anchor_vertices),
@@ -61,10 +60,22 @@ class ForestHands:
             angles=wp.array(angles.astype(np.float32), dtype=float, device=device),
         )
 
+    def resize(self, hands: Sequence[ShapedHand]) -> None:
+        """Overwrite the lengths, in place, with those of hands that differ in scale alone."""
+        self.arrays.resize(hands)
+        self.palm_points.assign(_palm_points(hands).astype(np.float32))
+
     @property
     def count(self) -> int:
         """Palm points per hand."""
         return self.palm_points.shape[1]
+
+
+def _palm_points(hands: Sequence[ShapedHand]) -> NDArray[np.float64]:
+    """Palm points of each hand in the palm's frame [m], shape (nhand, npalm, 3)."""
+    rest = np.zeros(28)
+    rest[3] = 1.0
+    return np.stack([keypoints(hand, rest)[list(PALM_KEYPOINTS)] for hand in hands])
 
 
 @dataclass(slots=True, kw_only=True)
@@ -169,6 +180,7 @@ class StageRows:
         self.normals = make(nrow, nanchor, dtype=wp.vec3)
         self.frames = make(nrow, npart, dtype=wp.mat33)
         self.places = make(nrow, npart, dtype=wp.vec3)
+        self.centres = make(nrow, dtype=wp.vec3)
         self.values = make(nrow, npart, config.points)
         self.leaves = make(nrow, trees, dtype=int)
         self.tree_weights = wp.ones((nrow, trees), dtype=float, device=device)
@@ -186,14 +198,21 @@ class StageRows:
             self.row_hand, self.rotations, self.origins,
             vertices=self.vertices, normals=self.normals,
         )  # fmt: skip
-        forest_features.frame_parts(
-            hand.bone_rotations, hand.bone_origins, self.part_bones, self.row_hand, self.pose,
-            frames=self.frames, places=self.places,
-        )  # fmt: skip
+        self.launch_frames()
         forest_features.sample_points(
-            anchors, offsets, self.row_image, images.cells, images.cameras, images.gates,
+            anchors, offsets, self.row_image, images.cells, images.cameras, self.centres,
             self.frames, self.places, self.vertices, mirror=images.mirror,
-            depth_range=self.config.depth_range, values=self.values,
+            gate_radius=self.config.gate_radius, depth_range=self.config.depth_range,
+            values=self.values,
+        )  # fmt: skip
+
+    def launch_frames(self) -> None:
+        """Reference frames of the poses as they are."""
+        hand = self.hands.arrays
+        forest_features.frame_parts(
+            hand.bone_rotations, hand.bone_origins, self.part_bones, self.hands.palm_points,
+            self.row_hand, self.pose, middle_point=MIDDLE_POINT,
+            frames=self.frames, places=self.places, centres=self.centres,
         )  # fmt: skip
 
     def launch_leaves(self, stage: DeviceStage) -> None:
@@ -313,13 +332,39 @@ class PalmVotes:
             hands.palm_points, hands.angles, target.row_hand, self.modes, pose=target.pose
         )
         if fingers is not None:
-            hand, rows = hands.arrays, fingers.rows
-            forest_features.frame_parts(
-                hand.bone_rotations, hand.bone_origins, rows.part_bones, rows.row_hand, rows.pose,
-                frames=rows.frames, places=rows.places,
-            )  # fmt: skip
+            rows = fingers.rows
+            rows.launch_frames()
             forest_votes.aim_fingers(self.modes, rows.frames, rows.places, targets=fingers.targets)
             fingers.launch_bend()
+
+
+def region_poses(centres: ArrayLike, wrists: ArrayLike, hand: ShapedHand) -> NDArray[np.float64]:
+    """Poses that a region suggests: from its wrist to its middle, seen from the camera.
+
+    Args:
+        centres: Middle of each region [m], shape (n, 3).
+        wrists: Where it joins an arm [m], NaN where it stands alone, shape (n, 3); it is then taken
+            to point up.
+        hand: The hand whose middle knuckle is put into the middle.
+
+    Returns:
+        Poses, shape (n, 28).
+    """
+    centres, wrists = np.asarray(centres, np.float64), np.asarray(wrists, np.float64)
+    along = np.where(np.isfinite(wrists), centres - wrists, [0.0, -1.0, 0.0])
+    ray = centres / np.linalg.norm(centres, axis=1, keepdims=True)
+    # Across the ray as far as it goes; a region straight ahead of its wrist points up.
+    along = along - (along * ray).sum(axis=1, keepdims=True) * ray
+    up = np.array([0.0, -1.0, 0.0]) - (-ray[:, 1:2]) * ray
+    along = np.where(np.linalg.norm(along, axis=1, keepdims=True) > 0.01, along, up)
+    x = along / np.linalg.norm(along, axis=1, keepdims=True)
+    rotation = np.stack([x, ray, np.cross(x, ray)], axis=2)
+    middle = _palm_points([hand])[0, MIDDLE_POINT]
+    poses = np.zeros((len(centres), 28))
+    poses[:, :3] = centres - rotation @ middle
+    poses[:, 3:7] = matrix_to_quat(rotation)
+    poses[:, 7:] = hand.rest_angles
+    return poses
 
 
 def launch_starts(hands: ForestHands, images: ForestImages, poses: wp.array) -> None:

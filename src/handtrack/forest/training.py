@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +22,11 @@ from handtrack.forest.artifact import (
     ForestStage,
     join_trees,
 )
-from handtrack.forest.config import TrainingConfig
-from handtrack.forest.crops import DEPTH_UNIT, UNKNOWN, TrainingCrops
-from handtrack.forest.growing import VALUE_STEP, Samples, grow_tree
+from handtrack.forest.config import ForestConfig, TrainingConfig
+from handtrack.forest.crops import TrainingCrops
+from handtrack.forest.growing import Samples, grow_tree
 from handtrack.forest.reference_points import draw_points, spread_vertices
+from handtrack.forest.row_chunks import CropSource, RowChunks
 from handtrack.forest.rows import (
     FINGER_PARTS,
     NFINGER,
@@ -33,21 +34,18 @@ from handtrack.forest.rows import (
     DeviceStage,
     FingerMoves,
     ForestHands,
-    ForestImages,
     PalmVotes,
     StageRows,
-    launch_starts,
+    region_poses,
 )
+from handtrack.forest.scenes import RegionCrops
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import HandModel, ShapedHand
 from handtrack.hand.skeleton import NKEYPOINT
 from handtrack.kernels.forest_features import NSTART
 from handtrack.transforms import apply_increment, quat_to_matrix
 
-CHUNK_FRAMES = 512
-"""Frames whose rows are on the device at a time."""
-
-_BAG, _POINTS, _GATES, _STARTS, _SHAKE, _TREE = 1, 2, 3, 4, 5, 6
+_BAG, _POINTS, _GATES, _STARTS, _SHAKE, _TREE, _MEAN = 1, 2, 3, 4, 5, 6, 7
 """Streams of random numbers, apart from each other."""
 
 Report = Callable[[int, str], None]
@@ -64,6 +62,7 @@ class ForestTrainer:
         subjects: list[ShapedHand],
         work: Path,
         *,
+        regions: RegionCrops | None = None,
         device: str | None = None,
         threads: int = 1,
     ) -> None:
@@ -73,17 +72,21 @@ class ForestTrainer:
             config: What to learn.
             crops: Labelled crops.
             subjects: Right hands that `crops.subjects` counts.
+            regions: Right and wrong regions, from which the forest learns what is a hand; None
+                leaves that out.
             work: Folder of unfinished work; trees in it that belong to `config` are used again.
             device: "cpu", "cuda:N" or None for the best there is.
             threads: Trees grown at a time.
         """
         self.config, self.crops, self.subjects = config, crops, subjects
+        self._regions = regions
         self._work, self._threads = work, threads
         self._device = resolve_device(device)
         model = HandModel.load()
         self._mean_hand = model.shaped()
         self._anchors = spread_vertices(self._mean_hand)
-        self._hands = ForestHands.upload(subjects, self._anchors, self._device)
+        self._worn_hands = [*subjects, self._mean_hand]
+        self._hands = ForestHands.upload(self._worn_hands, self._anchors, self._device)
         self._fingerprint = hashlib.sha256(
             json.dumps(asdict(config), sort_keys=True).encode()
             + np.ascontiguousarray(crops.poses).tobytes()
@@ -92,10 +95,16 @@ class ForestTrainer:
         for subject, hand in enumerate(subjects):
             mine = crops.subjects == subject
             self._truth[mine] = keypoints(hand, crops.poses[mine])
-        self._gates = self._draw_gates()
+        as_mean = self._rng(_MEAN).random(len(crops)) < config.mean_share
+        self._source = CropSource(
+            cells=crops.cells, cameras=crops.cameras, gates=self._draw_gates(),
+            worn=np.where(as_mean, len(subjects), crops.subjects).astype(np.int32),
+            hands=self._hands,
+        )  # fmt: skip
         forest = config.forest
         finger_trees = 0 if forest.structure == "holistic" else NFINGER * forest.trees
         self.tree_count = forest.stages * (forest.trees + finger_trees)
+        self.tree_count += forest.presence_trees * (regions is not None)
         """Trees in all."""
         work.mkdir(parents=True, exist_ok=True)
 
@@ -110,7 +119,11 @@ class ForestTrainer:
         holistic = forest.structure == "holistic"
         palm = tuple(self._train_palm(holistic))
         fingers = () if holistic else tuple(self._train_fingers())
-        return Forest(config=forest, anchor_vertices=self._anchors, palm=palm, fingers=fingers)
+        presence = None if self._regions is None else self._train_presence()
+        return Forest(
+            config=forest, anchor_vertices=self._anchors, palm=palm, fingers=fingers,
+            presence=presence,
+        )  # fmt: skip
 
     def _rng(self, *stream: int) -> np.random.Generator:
         return np.random.default_rng([self.config.seed, *stream])
@@ -142,12 +155,14 @@ class ForestTrainer:
         order = [*PALM_KEYPOINTS, *(FINGER_KEYPOINTS if holistic else ())]
         per_frame = min(config.starts, NSTART)
         frames = np.repeat(np.arange(len(self.crops)), per_frame)
-        poses = self._start_poses(per_frame)
+        poses = self._source.start_poses(per_frame, self._rng(_STARTS))
         for stage in range(forest.stages):
             anchors, offsets = draw_points(
                 self._mean_hand, self._anchors, -1, forest, self._rng(_POINTS, stage, 0)
             )
-            rows = _RowChunks(self, frames, PALM_PART, forest.trees)
+            rows = RowChunks(
+                self._source, forest, per_frame=per_frame, parts=PALM_PART, trees=forest.trees
+            )
             votes: list[PalmVotes] = []
 
             def points(part: StageRows, votes: list[PalmVotes] = votes) -> list[wp.array]:
@@ -169,30 +184,12 @@ class ForestTrainer:
             )
             bags = self._bags(name, stage)
             trees = self._grow(name, stage, samples, bags[:, frames], 0, forest.leaf_modes)
-            empty = ForestStage(
-                anchors=anchors[None], offsets=offsets[None],
-                **{f.name: getattr(trees[0], f.name) for f in fields(ForestStage)
-                   if f.name not in ("anchors", "offsets")},
-            )  # fmt: skip
+            empty = replace(trees[0], anchors=anchors[None], offsets=offsets[None])
             grown = join_trees(empty, trees)
             yield grown
             if stage + 1 < forest.stages:
                 uploaded = DeviceStage.upload(grown, self._device)
                 poses = rows.next_poses(poses, uploaded, bags, holistic)
-
-    def _start_poses(self, per_frame: int) -> NDArray[np.float32]:
-        """Some of the start poses of each frame, shape (nframe * per_frame, 28)."""
-        rng = self._rng(_STARTS)
-        found = np.empty((len(self.crops), NSTART, 28), np.float32)
-        images = self.images(CHUNK_FRAMES)
-        poses = wp.zeros((CHUNK_FRAMES, NSTART, 28), dtype=float, device=self._device)
-        for first in range(0, len(self.crops), CHUNK_FRAMES):
-            part = np.arange(first, min(first + CHUNK_FRAMES, len(self.crops)))
-            self.load(images, part)
-            launch_starts(self._hands, images, poses)
-            found[part] = poses.numpy()[: len(part)]
-        chosen = np.argsort(rng.random((len(self.crops), NSTART)), axis=1)[:, :per_frame]
-        return np.take_along_axis(found, chosen[..., None], axis=1).reshape(-1, 28)
 
     # Fingers.
 
@@ -205,8 +202,8 @@ class ForestTrainer:
         shake[:, :3] = rng.normal(0.0, config.palm_spread, (len(frames), 3))
         shake[:, 3:6] = rng.normal(0.0, config.palm_turn, (len(frames), 3))
         poses = apply_increment(self.crops.poses.astype(np.float64), shake)
-        rest = np.stack([hand.rest_angles for hand in self.subjects])
-        poses[:, 7:] = rest[self.crops.subjects]
+        rest = np.stack([hand.rest_angles for hand in self._worn_hands])
+        poses[:, 7:] = rest[self._source.worn]
         poses = poses.astype(np.float32)
         for stage in range(forest.stages):
             drawn = [
@@ -218,7 +215,10 @@ class ForestTrainer:
             ]  # fmt: skip
             anchors = np.stack([one[0] for one in drawn])
             offsets = np.stack([one[1] for one in drawn])
-            rows = _RowChunks(self, frames, FINGER_PARTS, NFINGER * forest.trees)
+            rows = RowChunks(
+                self._source, forest, per_frame=1, parts=FINGER_PARTS,
+                trees=NFINGER * forest.trees,
+            )  # fmt: skip
 
             def points(part: StageRows) -> list[wp.array]:
                 moves = FingerMoves(part)
@@ -236,24 +236,52 @@ class ForestTrainer:
                     (wanted - now)[:, finger].astype(np.float32),
                 )
                 trees += self._grow(f"finger-{finger}", stage, samples, bags, finger, 1)
-            empty = ForestStage(
-                anchors=anchors, offsets=offsets,
-                **{f.name: getattr(trees[0], f.name) for f in fields(ForestStage)
-                   if f.name not in ("anchors", "offsets")},
-            )  # fmt: skip
+            empty = replace(trees[0], anchors=anchors, offsets=offsets)
             grown = join_trees(empty, trees)
             yield grown
             if stage + 1 < forest.stages:
                 uploaded = DeviceStage.upload(grown, self._device)
                 poses = rows.next_finger_poses(poses, uploaded, np.tile(bags, (NFINGER, 1)))
 
+    # Hand or not.
+
+    def _train_presence(self) -> ForestStage:
+        """Trees that tell hands from elbows, heads and cups, in frames that the arm points out."""
+        forest, regions = self.config.forest, self._regions
+        assert regions is not None
+        # Nothing is known of the hand yet that points could hang on.
+        plain = replace(forest, features="pose-indexed")
+        anchors, offsets = draw_points(
+            self._mean_hand, self._anchors, -1, plain, self._rng(_POINTS, 99, 0)
+        )
+        gates = np.column_stack([regions.centres, np.full(len(regions), forest.gate_radius)])
+        mean = len(self._worn_hands) - 1
+        source = CropSource(
+            cells=regions.cells, cameras=regions.cameras, gates=gates.astype(np.float32),
+            worn=np.full(len(regions), mean, np.int32), hands=self._hands,
+        )  # fmt: skip
+        poses = region_poses(regions.centres, regions.wrists, self._mean_hand)
+        rows = RowChunks(source, forest, per_frame=1, parts=PALM_PART, trees=forest.trees)
+        values, _ = rows.values(
+            poses.astype(np.float32), anchors[None], offsets[None], lambda part: [part.places]
+        )
+        targets = np.zeros((len(regions), 1, 3), np.float32)
+        targets[:, 0, 0] = regions.is_hand
+        samples = Samples.of(wp.array(values[0], dtype=wp.int16, device=self._device), targets)
+        # By scene: what a tree has seen of one is not asked of it again.
+        draw = self._rng(_BAG, 99).random((forest.presence_trees, int(regions.frames.max()) + 1))
+        bags = (draw < forest.bag)[:, regions.frames]
+        grown = replace(forest, candidates=forest.presence_candidates)
+        trees = self._grow("presence", 0, samples, bags, 0, 1, grown)
+        return join_trees(replace(trees[0], anchors=anchors[None], offsets=offsets[None]), trees)
+
     # Trees.
 
     def _grow(
         self, name: str, stage: int, samples: Samples, bags: NDArray[np.bool_], part: int,
-        modes: int,
+        modes: int, config: ForestConfig | None = None,
     ) -> list[ForestStage]:  # fmt: skip
-        """Trees of one part and stage, those that are kept already among them."""
+        """Trees of one part and stage, one per bag, those that are kept already among them."""
 
         def one(tree: int) -> ForestStage:
             path = self._work / f"tree-{self._fingerprint}-{name}-{stage}-{tree}.npz"
@@ -261,7 +289,7 @@ class ForestTrainer:
             if found is None:
                 seed = int(self._rng(_TREE, stage, part, tree).integers(2**31))
                 found = grow_tree(
-                    samples, np.flatnonzero(bags[tree]), self.config.forest, part=part,
+                    samples, np.flatnonzero(bags[tree]), config or self.config.forest, part=part,
                     modes=modes, seed=seed,
                 )  # fmt: skip
                 with whole_file(path) as file:
@@ -270,145 +298,11 @@ class ForestTrainer:
 
         trees = []
         with ThreadPoolExecutor(self._threads) as pool:
-            for found in pool.map(one, range(self.config.forest.trees)):
+            for found in pool.map(one, range(len(bags))):
                 trees.append(found)
                 self._done += 1
                 self._report(self._done, f"{name}, stage {stage + 1}")
         return trees
-
-    # Crops on the device.
-
-    def images(self, count: int) -> ForestImages:
-        """Arrays for so many crops."""
-        return ForestImages.allocate(count, self.config.forest.crop_cells, self._device)
-
-    def load(self, images: ForestImages, frames: NDArray[np.intp]) -> None:
-        """Copy the crops of some frames to the device, in this order; the rest stays empty."""
-        count, size = len(frames), images.cells.shape[0]
-        stored = self.crops.cells[frames]
-        cells = stored.astype(np.float32) * np.float32(DEPTH_UNIT)
-        cells[stored == UNKNOWN] = np.inf
-
-        def padded(values: NDArray) -> NDArray:
-            full = np.zeros((size, *values.shape[1:]), values.dtype)
-            full[:count] = values
-            return full
-
-        images.cells.assign(padded(cells))
-        images.cameras.assign(padded(self.crops.cameras[frames]))
-        images.gates.assign(padded(self._gates[frames]))
-        images.image_hand.assign(padded(self.crops.subjects[frames].astype(np.int32)))
-
-
-class _RowChunks:
-    """Rows of all frames, walked through in chunks that fit on the device."""
-
-    def __init__(
-        self, trainer: ForestTrainer, frames: NDArray[np.intp], parts: NDArray, trees: int
-    ) -> None:
-        self._trainer, self._frames, self._parts = trainer, frames, parts
-        self._per_frame = len(frames) // len(trainer.crops)
-        self._trees = trees
-        self._size = CHUNK_FRAMES * self._per_frame
-        self._images = trainer.images(CHUNK_FRAMES)
-        local = np.repeat(np.arange(CHUNK_FRAMES), self._per_frame)
-        self.rows = StageRows(
-            trainer._hands, self._images, trainer.config.forest, parts,
-            row_hand=np.zeros(self._size), row_image=local, trees=trees,
-        )  # fmt: skip
-
-    def _chunks(self, poses: NDArray[np.float32]) -> Iterator[slice]:
-        """Load one chunk of crops and poses after the other; yields its rows."""
-        trainer = self._trainer
-        for first in range(0, len(trainer.crops), CHUNK_FRAMES):
-            frames = np.arange(first, min(first + CHUNK_FRAMES, len(trainer.crops)))
-            trainer.load(self._images, frames)
-            part = slice(first * self._per_frame, (frames[-1] + 1) * self._per_frame)
-            count = part.stop - part.start
-            full = np.zeros((self._size, 28), np.float32)
-            full[:, 3] = 1.0
-            full[:count] = poses[part]
-            hands = np.zeros(self._size, np.int32)
-            hands[:count] = trainer.crops.subjects[self._frames[part]]
-            self.rows.pose.assign(full)
-            self.rows.row_hand.assign(hands)
-            yield part
-
-    def values(
-        self,
-        poses: NDArray[np.float32],
-        anchors: NDArray,
-        offsets: NDArray,
-        more: Callable[[StageRows], list[wp.array]],
-    ) -> tuple[list[NDArray[np.int16]], list[NDArray[np.float32]]]:
-        """Features of all rows, shape (npoint, nrow) per part, and further arrays of theirs."""
-        device = self.rows.pose.device
-        device_anchors = wp.array(anchors, dtype=int, device=device)
-        device_offsets = wp.array(offsets, dtype=wp.vec3, device=device)
-        count = len(self._frames)
-        values = [np.empty((anchors.shape[1], count), np.int16) for _ in self._parts]
-        gathered: list[list[NDArray]] = []
-        for part in self._chunks(poses):
-            self.rows.launch_values(device_anchors, device_offsets)
-            arrays = more(self.rows)
-            number = part.stop - part.start
-            found = self.rows.values.numpy()[:number]
-            for k, matrix in enumerate(values):
-                matrix[:, part] = np.rint(found[:, k] / VALUE_STEP).T.astype(np.int16)
-            gathered.append([array.numpy()[:number].copy() for array in arrays])
-        return values, [np.concatenate(parts) for parts in zip(*gathered, strict=True)]
-
-    def _leaves(
-        self, poses: NDArray[np.float32], stage: DeviceStage, bags: NDArray[np.bool_]
-    ) -> Iterator[slice]:
-        """Walk all rows through a stage, each heard only by trees that did not learn from it."""
-        for part in self._chunks(poses):
-            frames = self._frames[part]
-            weights = np.ones((self._size, self._trees), np.float32)
-            unseen = ~bags[:, frames].T
-            # Where all trees learnt from a frame, all may speak.
-            weights[: len(frames)] = np.where(unseen.any(axis=1, keepdims=True), unseen, True)
-            self.rows.tree_weights.assign(weights)
-            self.rows.launch_values(stage.anchors, stage.offsets)
-            self.rows.launch_leaves(stage)
-            yield part
-
-    def next_poses(
-        self, poses: NDArray[np.float32], stage: DeviceStage, bags: NDArray[np.bool_],
-        holistic: bool,
-    ) -> NDArray[np.float32]:  # fmt: skip
-        """Poses after a stage of palm or hand: the strongest mode of each row."""
-        rows, moved = self.rows, np.empty_like(poses)
-        votes = PalmVotes(
-            rows, groups=self._size, modes=1, leaf_modes=stage.updates.shape[1], holistic=holistic
-        )
-        fingers = None
-        if holistic:
-            own = StageRows(
-                rows.hands, rows.images, rows.config, FINGER_PARTS,
-                row_hand=np.zeros(self._size), row_image=rows.row_image.numpy(), trees=1,
-                pose=rows.pose,
-            )  # fmt: skip
-            own.row_hand = rows.row_hand
-            fingers = FingerMoves(own)
-        for part in self._leaves(poses, stage, bags):
-            votes.launch_points()
-            votes.launch_modes(stage)
-            votes.launch_poses(rows, fingers)
-            moved[part] = rows.pose.numpy()[: part.stop - part.start]
-        return moved
-
-    def next_finger_poses(
-        self, poses: NDArray[np.float32], stage: DeviceStage, bags: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
-        """Poses after a stage of the fingers: the medians of each row."""
-        moves, moved = FingerMoves(self.rows), np.empty_like(poses)
-        for part in self._leaves(poses, stage, bags):
-            moves.launch_points()
-            moves.launch_medians(stage)
-            moves.launch_bend()
-            moved[part] = self.rows.pose.numpy()[: part.stop - part.start]
-        return moved
 
 
 def _read_tree(path: Path) -> ForestStage | None:

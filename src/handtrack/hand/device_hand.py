@@ -32,6 +32,16 @@ class DeviceHand:
     vertex_is_hand: wp.array
     limits: wp.array
     tip_offsets: wp.array
+    kept: NDArray[np.intp]
+    """Numbers of the vertices that are there."""
+
+    def resize(self, hands: Sequence[ShapedHand]) -> None:
+        """Overwrite the lengths, in place, with those of hands that differ in scale alone."""
+        for name in ("local_vertices", "bone_origins", "tip_offsets"):
+            values = np.stack([getattr(hand, name) for hand in hands]).astype(np.float32)
+            if name == "local_vertices":
+                values = np.ascontiguousarray(values[:, self.kept])
+            getattr(self, name).assign(values)
 
     @classmethod
     def upload(
@@ -81,4 +91,5 @@ class DeviceHand:
             vertex_is_hand=put((~first.stub_vertices)[kept].astype(np.int32), int),
             limits=put(first.limits.astype(np.float32), float),
             tip_offsets=stack("tip_offsets", wp.vec3),
+            kept=kept,
         )

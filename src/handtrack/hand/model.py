@@ -6,7 +6,7 @@ that kinematics, rendering and fitting need.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +77,11 @@ class ShapedHand:
     def as_right(self) -> ShapedHand:
         """The right hand of the same shape: this one, or its mirror image."""
         return self if self.side == "right" else _mirrored(self)
+
+    def scaled(self, factor: float) -> ShapedHand:
+        """The hand made larger or smaller as a whole."""
+        lengths = ("local_vertices", "bone_origins", "tip_offsets", "cut_x")
+        return replace(self, **{name: factor * getattr(self, name) for name in lengths})
 
     @property
     def bone_lengths(self) -> Float:

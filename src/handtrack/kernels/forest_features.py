@@ -20,13 +20,14 @@ NSTART = 4
 def _seen_point(
     cells_in: wp.array3d[float],
     cameras_in: wp.array2d[float],
-    gates_in: wp.array2d[float],
     image: int,
     row: int,
     column: int,
     mirror: float,
+    centre: wp.vec3,
+    radius: float,
 ) -> wp.vec3:
-    # The point seen in a cell when it lies inside the gate, else z = 0.
+    # The point seen in a cell when it lies inside a ball, else z = 0.
     z = cells_in[image, row, column]
     if z <= 0.0 or not wp.isfinite(z):
         return wp.vec3(0.0)
@@ -35,8 +36,7 @@ def _seen_point(
         (float(row) - cameras_in[image, 3]) / cameras_in[image, 1] * z,
         z,
     )
-    centre = wp.vec3(gates_in[image, 0], gates_in[image, 1], gates_in[image, 2])
-    if wp.length(point - centre) > gates_in[image, 3]:
+    if wp.length(point - centre) > radius:
         return wp.vec3(0.0)
     return point
 
@@ -68,7 +68,10 @@ def _principal_starts(
     centre = wp.vec3(gates_in[image, 0], gates_in[image, 1], gates_in[image, 2])
     for j in range(cells_in.shape[1] // stride):
         for i in range(cells_in.shape[2] // stride):
-            p = _seen_point(cells_in, cameras_in, gates_in, image, j * stride, i * stride, mirror)
+            p = _seen_point(
+                cells_in, cameras_in, image, j * stride, i * stride, mirror, centre,
+                gates_in[image, 3],
+            )  # fmt: skip
             if p[2] > 0.0:
                 d = p - centre
                 total += d
@@ -109,17 +112,24 @@ def _frame_parts(
     bone_rotations_in: wp.array2d[wp.mat33],
     bone_origins_in: wp.array2d[wp.vec3],
     part_bones_in: wp.array[int],
+    palm_points_in: wp.array2d[wp.vec3],
+    middle_point: int,
     row_hand_in: wp.array[int],
     # in
     pose_in: wp.array2d[float],
     # out
     frames_out: wp.array2d[wp.mat33],
     places_out: wp.array2d[wp.vec3],
+    centres_out: wp.array[wp.vec3],
 ):
     """One part of one row: frame of the palm, or of a finger's root when its angles are zero."""
     rowid, part = wp.tid()
     rotation = pose_rotation(pose_in, rowid)
     place = pose_translation(pose_in, rowid)
+    if part == 0:
+        # The middle knuckle is about the middle of a hand.
+        middle = palm_points_in[row_hand_in[rowid], middle_point]
+        centres_out[rowid] = place + rotation @ middle
     bone = part_bones_in[part]
     if bone > 0:
         hand = row_hand_in[rowid]
@@ -138,11 +148,12 @@ def _sample_points(
     row_image_in: wp.array[int],
     cells_in: wp.array3d[float],
     cameras_in: wp.array2d[float],
-    gates_in: wp.array2d[float],
+    centres_in: wp.array[wp.vec3],
     frames_in: wp.array2d[wp.mat33],
     places_in: wp.array2d[wp.vec3],
     vertices_in: wp.array2d[wp.vec3],
     mirror: float,
+    gate_radius: float,
     depth_range: float,
     # out
     values_out: wp.array3d[float],
@@ -167,13 +178,15 @@ def _sample_points(
     if point[2] > 0.02:
         u = cameras_in[image, 0] * mirror * point[0] / point[2] + cameras_in[image, 2] + 0.5
         v = cameras_in[image, 1] * point[1] / point[2] + cameras_in[image, 3] + 0.5
-        if u >= 0.0 and v >= 0.0:
-            column = int(u)
-            row = int(v)
-            if column < cells_in.shape[2] and row < cells_in.shape[1]:
-                seen = _seen_point(cells_in, cameras_in, gates_in, image, row, column, mirror)
-                if seen[2] > 0.0:
-                    value = wp.clamp(seen[2] - place[2], -depth_range, depth_range)
+        # Compared as floats: a number too large for an int becomes any int.
+        inside = u < float(cells_in.shape[2]) and v < float(cells_in.shape[1])
+        if u >= 0.0 and v >= 0.0 and inside:
+            seen = _seen_point(
+                cells_in, cameras_in, image, int(v), int(u), mirror, centres_in[rowid],
+                gate_radius,
+            )  # fmt: skip
+            if seen[2] > 0.0:
+                value = wp.clamp(seen[2] - place[2], -depth_range, depth_range)
     values_out[rowid, part, pointid] = value
 
 
@@ -247,30 +260,38 @@ def frame_parts(
     bone_rotations: wp.array,
     bone_origins: wp.array,
     part_bones: wp.array,
+    palm_points: wp.array,
     row_hand: wp.array,
     pose: wp.array,
     *,
+    middle_point: int,
     frames: wp.array,
     places: wp.array,
+    centres: wp.array,
 ) -> None:
-    """Reference frames of every part.
+    """Reference frames of every part, and the middle of every row's hand.
 
     Args:
         bone_rotations: Rotation from bone to parent at zero angles, shape (nhand, nbone) mat33.
         bone_origins: Joint origins in the parent's frame [m], shape (nhand, nbone) vec3.
         part_bones: Bone whose root frame belongs to each part, 0 for the palm, shape (npart,).
+        palm_points: Palm points in the palm's frame [m], shape (nhand, npalm) vec3.
         row_hand: Hand of each row, shape (nrow,).
         pose: Poses, shape (nrow, 28).
+        middle_point: The middle finger's knuckle among the palm points.
         frames: Out: rotations to the camera's frame, shape (nrow, npart) mat33.
         places: Out: origins [m], shape (nrow, npart) vec3.
+        centres: Out: middle knuckles [m], shape (nrow,) vec3.
     """
     wp.launch(
         _frame_parts,
         dim=frames.shape,
-        inputs=[bone_rotations, bone_origins, part_bones, row_hand, pose],
-        outputs=[frames, places],
+        inputs=[
+            bone_rotations, bone_origins, part_bones, palm_points, middle_point, row_hand, pose
+        ],
+        outputs=[frames, places, centres],
         device=frames.device,
-    )
+    )  # fmt: skip
 
 
 def sample_points(
@@ -279,12 +300,13 @@ def sample_points(
     row_image: wp.array,
     cells: wp.array,
     cameras: wp.array,
-    gates: wp.array,
+    centres: wp.array,
     frames: wp.array,
     places: wp.array,
     vertices: wp.array,
     *,
     mirror: float,
+    gate_radius: float,
     depth_range: float,
     values: wp.array,
 ) -> None:
@@ -297,11 +319,12 @@ def sample_points(
         row_image: Image of each row, shape (nrow,).
         cells: Crops [m], shape (nimage, n, n).
         cameras: fx, fy, cx, cy of the crops' grids [cells], shape (nimage, >= 4).
-        gates: Ball that holds the hand, shape (nimage, 4).
+        centres: Middle of each row's hand [m], shape (nrow,) vec3.
         frames: Rotations of the parts' frames, shape (nrow, npart) mat33.
         places: Their origins [m], shape (nrow, npart) vec3.
         vertices: Vertices that points hang on [m], shape (nrow, nanchor) vec3.
         mirror: -1 for left hands, else 1.
+        gate_radius: What is farther from that middle is background [m].
         depth_range: Values are clipped to so much; background counts as that far behind [m].
         values: Out: depths [m], shape (nrow, npart, npoint).
     """
@@ -309,8 +332,8 @@ def sample_points(
         _sample_points,
         dim=values.shape,
         inputs=[
-            anchors, offsets, row_image, cells, cameras, gates, frames, places, vertices,
-            mirror, depth_range,
+            anchors, offsets, row_image, cells, cameras, centres, frames, places, vertices,
+            mirror, gate_radius, depth_range,
         ],
         outputs=[values],
         device=values.device,

@@ -125,8 +125,10 @@ def _pick_modes(
                 best = vote
         mode_weights_out[group, mode] = densities_io[group, best]
         if densities_io[group, best] <= 0.0:
-            # Nothing left: the first mode again, so that the row holds a pose.
+            # Nothing left: the first mode again, so that the row holds a pose; zeros without one.
             for k in range(votes_in.shape[2]):
+                if mode == 0:
+                    modes_out[group, 0, k] = wp.vec3(0.0)
                 modes_out[group, mode, k] = modes_out[group, 0, k]
         else:
             for k in range(votes_in.shape[2]):

@@ -19,7 +19,7 @@ from handtrack.artifacts import artifact_path
 from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
 from handtrack.hand.kinematics import keypoints
-from handtrack.hand.model import HandModel
+from handtrack.hand.model import HandModel, ShapedHand
 from handtrack.hand.shape import HandShape
 from handtrack.hand.side import mirror_pose
 from handtrack.priors.gaussian import GaussianPrior
@@ -126,6 +126,8 @@ class DatasetBatch:
     """True poses, shape (n, 28)."""
     keypoints: NDArray[np.float32]
     """True keypoints [m], camera frame, shape (n, 21, 3)."""
+    elbows: NDArray[np.float32]
+    """Elbows [m], camera frame, shape (n, 3)."""
     subject: NDArray[np.int32]
     """Subject, shape (n,)."""
     named_pose: NDArray[np.int32]
@@ -184,6 +186,10 @@ class SyntheticDataset:
         rng = self._rng(_SUBJECT, subject)
         return self._model.sample_shape(rng, deviation=self.config.shape_deviation)
 
+    def subjects(self) -> list[ShapedHand]:
+        """Right hands of all subjects."""
+        return [self._model.shaped(self.shape(number)) for number in range(self.config.subjects)]
+
     def batches(
         self, start: int = 0, stop: int | None = None, *, size: int = 64
     ) -> Iterator[DatasetBatch]:
@@ -216,6 +222,7 @@ class SyntheticDataset:
             depth=np.zeros((count, *camera.shape), np.float32),
             poses=np.zeros((count, 28)),
             keypoints=np.zeros((count, 21, 3), np.float32),
+            elbows=np.zeros((count, 3), np.float32),
             subject=(wanted // (self.config.poses * self.config.viewpoints)).astype(np.int32),
             named_pose=np.full(count, -1, np.int32),
             noise=np.zeros(count, np.int32),
@@ -272,7 +279,7 @@ class SyntheticDataset:
             batch.poses[row], elbows[place] = self._view(angles, rng)
             rngs.append(rng)
         points = keypoints(self._hand, batch.poses[rows])
-        batch.keypoints[rows] = points
+        batch.keypoints[rows], batch.elbows[rows] = points, elbows
         clean = self._renderer.render(batch.poses[rows], elbows=elbows)
         for row, image, point, rng in zip(rows, clean, points, rngs, strict=True):
             occluded, batch.body[row] = rng.random(2) < (config.occluder_share, config.body_share)

@@ -69,6 +69,32 @@ def box_depth(rays: Float, centre: Float, rotation: Float, half: Float) -> Depth
     return _visible(np.where(enter < leave, enter, 0.0))
 
 
+def capsule_depth(rays: Float, start: Float, end: Float, radius: float) -> Depth:
+    """Depth of the front of a cylinder with round ends.
+
+    Args:
+        rays: Rays with z = 1, shape (height, width, 3).
+        start: One end of its axis [m], camera frame, shape (3,).
+        end: The other end, not the same [m], shape (3,).
+        radius: Of cylinder and ends [m].
+    """
+    axis = end - start
+    squared = np.einsum("...i,...i->...", rays, rays)
+    along = rays @ axis
+    length = axis @ axis
+    # The infinite cylinder, all terms times the squared length of the axis.
+    a = length * squared - along**2
+    b = -length * (rays @ start) + (start @ axis) * along
+    c = length * (start @ start - radius**2) - (start @ axis) ** 2
+    root = b * b - a * c
+    depth = (-b - np.sqrt(np.maximum(root, 0.0))) / np.maximum(a, 1e-12)
+    place = depth * along - start @ axis
+    hit = np.where((root > 0.0) & (place > 0.0) & (place < length), depth, 0.0)
+    # A ray that meets the cylinder beyond an end may still meet that end's ball.
+    balls = [ellipsoid_depth(rays, end, np.eye(3), np.full(3, radius)) for end in (start, end)]
+    return nearest(_visible(hit), nearest(*balls))
+
+
 def plane_depth(rays: Float, point: Float, normal: Float) -> Depth:
     """Depth of the plane through a point [m], shape (3,), with a normal, shape (3,)."""
     along = rays @ normal
@@ -85,6 +111,66 @@ def nearest(first: Depth, second: Depth) -> Depth:
     """The nearer one of two surfaces in every pixel."""
     both = np.minimum(first, second)
     return np.where(both > 0.0, both, np.maximum(first, second))
+
+
+class DepthScene:
+    """A depth image to which things are added, each computed only where it can be seen."""
+
+    def __init__(self, camera: Camera) -> None:
+        """Start with nothing in view of a camera."""
+        self._camera = camera
+        self._rays = camera_rays(camera)
+        self.depth: Depth = np.zeros(camera.shape, np.float32)
+        """Depth of all things so far [m], shape (height, width), 0 = nothing there."""
+
+    def clear(self) -> None:
+        """Start anew with nothing in view."""
+        self.depth = np.zeros(self._camera.shape, np.float32)
+
+    def add_image(self, depth: Depth) -> None:
+        """Add what another renderer drew, depth [m], shape (height, width)."""
+        self.depth = nearest(self.depth, depth)
+
+    def add_plane(self, point: Float, normal: Float) -> None:
+        """Add a plane; see `plane_depth`."""
+        self.add_image(plane_depth(self._rays, point, normal))
+
+    def add_ellipsoid(self, centre: Float, rotation: Float, half: Float) -> None:
+        """Add an ellipsoid; see `ellipsoid_depth`."""
+        box = self._window(centre, float(np.max(half)))
+        self._merge(box, ellipsoid_depth(self._rays[box], centre, rotation, half))
+
+    def add_box(self, centre: Float, rotation: Float, half: Float) -> None:
+        """Add a box; see `box_depth`."""
+        box = self._window(centre, float(np.linalg.norm(half)))
+        self._merge(box, box_depth(self._rays[box], centre, rotation, half))
+
+    def add_capsule(self, start: Float, end: Float, radius: float) -> None:
+        """Add a cylinder with round ends; see `capsule_depth`."""
+        reach = 0.5 * float(np.linalg.norm(end - start)) + radius
+        box = self._window(0.5 * (start + end), reach)
+        self._merge(box, capsule_depth(self._rays[box], start, end, radius))
+
+    def _merge(self, box: tuple[slice, slice], depth: Depth) -> None:
+        self.depth[box] = nearest(self.depth[box], depth)
+
+    def _window(self, centre: Float, radius: float) -> tuple[slice, slice]:
+        """Pixels that may see a ball: rows and columns."""
+        camera = self._camera
+        near = float(centre[2]) - radius
+        if near < _NEAR:  # around the camera: it may be seen anywhere
+            return slice(0, camera.height), slice(0, camera.width)
+        found = []
+        for place, focal, middle, size in (
+            (centre[1], camera.fy, camera.cy, camera.height),
+            (centre[0], camera.fx, camera.cx, camera.width),
+        ):
+            # Each side of the ball is widest in the image at its nearest or its farthest depth.
+            sides = [(place + s * radius) / z for s in (-1, 1) for z in (near, near + 2 * radius)]
+            low, high = focal * min(sides) + middle, focal * max(sides) + middle
+            first = int(np.clip(math.floor(low), 0, size))
+            found.append(slice(first, int(np.clip(math.ceil(high) + 1, first, size))))
+        return found[0], found[1]
 
 
 def add_occluder(

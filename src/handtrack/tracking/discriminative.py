@@ -47,10 +47,11 @@ class DiscriminativeConfig:
             )
 
     def make(
-        self, hand: ShapedHand, camera: Camera, *, device: str | None, seed: int, graph: bool
-    ) -> TrackerDiscriminative:
-        """Allocate the method; see `Stepper`."""
-        del seed  # nothing is random
+        self, hand: ShapedHand, camera: Camera, *, known_shape: bool, device: str | None,
+        seed: int, graph: bool,
+    ) -> TrackerDiscriminative:  # fmt: skip
+        """Allocate the method; see `TrackerConfig`."""
+        del known_shape, seed  # the hand is taken as it is, and nothing is random
         return TrackerDiscriminative(hand, camera, config=self, device=device, graph=graph)
 
 
@@ -96,6 +97,10 @@ class TrackerDiscriminative:
     def start(self, pose: NDArray[np.float64] | None) -> None:
         """Look around a pose first, shape (28,), or in the whole scene."""
         self._pose = pose
+
+    def forget(self) -> None:
+        """Start from nothing; see `Stepper`."""
+        self.start(None)
 
     def step(
         self, depth: NDArray[np.float32], *, fallback: NDArray[np.float64] | None = None

@@ -26,11 +26,14 @@ class Doubt:
         self._since = 0
 
     def arises(self, error: float) -> bool:
-        """Whether the pose of this frame is to be doubted; once per frame."""
+        """Whether the pose of this frame is to be doubted; once per frame.
+
+        The first high error counts as a jump.
+        """
         self._since += 1
         if error <= self._error:
             return False
-        jumped = self._level is not None and error > self._jump * self._level
+        jumped = self._level is None or error > self._jump * self._level
         if not jumped and self._since < self._period:
             return False
         self._since = 0

@@ -9,27 +9,37 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
-from handtrack.camera.segmentation import find_hand_regions
 from handtrack.errors import InputError
 from handtrack.fitting.config import THESIS, FitConfig
 from handtrack.fitting.fitter import Fitter
-from handtrack.fitting.uncertainty import FitInformation
 from handtrack.forest.artifact import Forest
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NV
-from handtrack.tracking.candidates import Candidates, CandidateSearch
+from handtrack.tracking.candidates import (
+    Candidates,
+    CandidateSearch,
+    Refinement,
+    misplacement,
+    unit_poses,
+)
 from handtrack.tracking.doubt import Doubt
 from handtrack.tracking.rescue import restart_poses
+from handtrack.tracking.scene_search import Found, SceneSearch, SearchConfig
+from handtrack.tracking.size_probe import SizeProbe
 from handtrack.tracking.stepper import Estimate
 from handtrack.transforms import apply_increment, pose_difference
 
 Float = NDArray[np.float64]
+
+BATCH = 8
+"""Independent frames searched at a time by `find_all`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,8 +60,12 @@ class HybridConfig:
     """Random restarts around the tracked pose that join the pool in doubt."""
     finalists: int = 4
     """Candidates that are fitted to the end."""
-    regions: int = 3
-    """Places of the scene that are searched when the hand is lost."""
+    scene: SearchConfig = field(default_factory=SearchConfig)
+    """The search of whole scenes when the hand is lost."""
+    presence_weight: float = 0.03
+    """Cost of a candidate in a place that the forest takes for no hand [m]."""
+    adapt_size: bool = True
+    """Find the overall size of a hand whose shape was not given."""
     doubt_error: float = 0.007
     """Depth error up to which the tracked pose is not doubted [m]."""
     doubt_jump: float = 1.25
@@ -77,11 +91,9 @@ class HybridConfig:
         """
         if not 0 <= self.velocity <= 2:
             raise InputError(f"velocity is {self.velocity}; expected 0 to 2")
-        if self.restarts < 0 or self.finalists < 1 or self.regions < 1:
-            raise InputError(
-                f"restarts, finalists, regions are {self.restarts}, {self.finalists},"
-                f" {self.regions}; expected at least 0, 1 and 1"
-            )
+        for name, least in (("restarts", 0), ("finalists", 1), ("presence_weight", 0)):
+            if getattr(self, name) < least:
+                raise InputError(f"{name} is {getattr(self, name)}; expected at least {least}")
         if self.doubt_jump < 1 or self.doubt_period < 1 or self.doubt_error < 0:
             raise InputError(
                 f"doubt_jump, doubt_period, doubt_error are {self.doubt_jump},"
@@ -100,26 +112,19 @@ class HybridConfig:
                 )
 
     def make(
-        self, hand: ShapedHand, camera: Camera, *, device: str | None, seed: int, graph: bool
-    ) -> TrackerHybrid:
-        """Allocate the method; see `Stepper`."""
-        return TrackerHybrid(hand, camera, config=self, device=device, seed=seed, graph=graph)
+        self, hand: ShapedHand, camera: Camera, *, known_shape: bool, device: str | None,
+        seed: int, graph: bool,
+    ) -> TrackerHybrid:  # fmt: skip
+        """Allocate the method; see `TrackerConfig`."""
+        config = replace(self, adapt_size=self.adapt_size and not known_shape)
+        return TrackerHybrid(hand, camera, config=config, device=device, seed=seed, graph=graph)
 
 
 THESIS_HYBRID = HybridConfig(
-    fit=THESIS, search=THESIS, always=True, velocity=0.0, restarts=0, regions=1, finalists=1,
-    temporal_weight=2e-4,
+    fit=THESIS, search=THESIS, always=True, velocity=0.0, restarts=0, finalists=1,
+    presence_weight=0.0, adapt_size=False, scene=SearchConfig(regions=1, rounds=0),
 )  # fmt: skip
 """Steps 1 to 6 of II.5.1 with the thesis' own energy, and nothing else."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Found:
-    """A pose with what decides about it."""
-
-    pose: Float
-    error: float
-    information: FitInformation | None
 
 
 class TrackerHybrid:
@@ -148,27 +153,27 @@ class TrackerHybrid:
             graph: False launches eagerly, for debugging.
         """
         self.config = config if config is not None else HybridConfig()
-        self._hand, self._camera = hand, camera
+        self._base, self._hand, self._camera = hand, hand, camera
         config = self.config
-        forest = Forest.load(config.forest)
-        right = hand.as_right()
-        self._followed = 1 + (config.velocity > 0)
-
-        def fitter(rows: int) -> Fitter:
-            return Fitter([hand], camera, config=config.fit, nhyp=rows, device=device, graph=graph)
-
-        def search(places: int, extra: int) -> CandidateSearch:
-            return CandidateSearch(
-                hand, right, camera, forest, fit=config.search, places=places, extra=extra,
-                device=device, graph=graph,
-            )  # fmt: skip
-
-        self._fitter = fitter(self._followed)
-        self._final = fitter(config.finalists)
-        self._near = search(1, 1 + config.restarts)
-        self._far = search(config.regions, 0)
-        for used in (self._fitter, self._final, self._near, self._far):
-            used.warm_up()
+        self._forest = Forest.load(config.forest)
+        self._options: dict[str, Any] = {"device": device, "graph": graph}
+        self._follower = Fitter(
+            [hand], camera, config=config.fit, nhyp=1 + (config.velocity > 0), **self._options
+        )
+        self._follower.warm_up()
+        self._near = CandidateSearch(
+            hand, camera, self._forest, fit=config.search, places=1, extra=1 + config.restarts,
+            **self._options,
+        )  # fmt: skip
+        self._near.warm_up()
+        self._final = Refinement(
+            hand, camera, fit=config.fit, frames=1, rows=config.finalists, **self._options
+        )
+        self._scene = self._scene_search(1)
+        self._batch: SceneSearch | None = None
+        self._probe: SizeProbe | None = None
+        if config.adapt_size:
+            self._probe = SizeProbe(hand, camera, fit=config.fit, **self._options)
         self._seed = seed
         self._doubt = Doubt(
             error=config.doubt_error, jump=config.doubt_jump, period=config.doubt_period
@@ -188,51 +193,81 @@ class TrackerHybrid:
         self._rng = np.random.default_rng(self._seed)
         self._doubt.forget()
 
+    def forget(self) -> None:
+        """Start from nothing, with a hand of unknown size; see `Stepper`."""
+        self.start(None)
+        if self._probe is not None and self._probe.size != 1.0:
+            self._probe.forget()
+            self._resize()
+
+    def _resize(self) -> None:
+        """Go on with the size that the probe has found."""
+        assert self._probe is not None
+        self._hand = self._base.scaled(self._probe.size)
+        self._follower.resize([self._hand])
+        for part in (self._near, self._final, self._scene):
+            part.resize(self._hand)
+        # Depth errors of another size do not compare.
+        self._doubt.forget()
+
     def step(self, depth: NDArray[np.float32], *, fallback: Float | None = None) -> Estimate:
         """Find the hand in the next frame; see `Stepper`."""
         config, clock = self.config, _Clock()
         if config.always:
-            found = self._search_as_thesis(depth)
+            found, doubted = self._search_as_thesis(depth), True
             clock.lap("search")
         else:
             found = self._follow(depth, fallback)
             clock.lap("follow")
-            if found is not None and (
-                self._doubt.arises(found.error) or found.error > config.seek_error
-            ):
+            doubted = found is None or self._doubt.arises(found.error) or not self._sure
+            if doubted and found is not None:
                 found = self._search_near(depth, found)
                 clock.lap("near")
-            if found is None or found.error > config.seek_error:
-                found = self._search_far(depth, found)
-                clock.lap("far")
+            if doubted and (found is None or found.error > config.seek_error):
+                found = self._search_scene(depth, found)
+                clock.lap("scene")
+        first_sight = not self._sure
+        if self._probe is not None and found is not None:
+            if first_sight:
+                changed = self._probe.settle(depth, found.pose)
+            else:
+                changed = not doubted and self._probe.watch(depth, found.pose)
+            if changed:
+                self._resize()
+                found = self._fit(depth, np.stack([found.pose] * self._follower.nrow))
+            clock.lap("size")
+        limit = config.accept_error if first_sight else config.lost_error
+        estimate = self._judged(found, limit, clock.spans)
+        self._motion = np.zeros(NV)
+        if found is not None:
+            if self._sure and self._pose is not None:
+                self._motion = pose_difference(found.pose, self._pose)
+            self._doubt.remember(found.error)
+        self._pose, self._sure = estimate.pose, estimate.found
+        return estimate
+
+    def _judged(self, found: Found | None, limit: float, timings: dict[str, float]) -> Estimate:
+        """Whether a pose explains its frame (Eq. II.19)."""
         if found is None:
-            self._pose, self._sure = None, False
             return Estimate(
-                pose=None, depth_error=np.nan, found=False, timings=clock.spans,
+                pose=None, depth_error=np.nan, found=False, timings=timings,
                 problem="nothing in view has the size of a hand",
             )  # fmt: skip
-        limit = config.lost_error if self._sure else config.accept_error
-        self._motion = np.zeros(NV)
-        if self._sure and self._pose is not None:
-            self._motion = pose_difference(found.pose, self._pose)
-        self._sure = found.error < limit
-        self._doubt.remember(found.error)
-        self._pose = found.pose
         return Estimate(
-            pose=found.pose, depth_error=found.error, found=self._sure,
-            information=found.information, timings=clock.spans,
+            pose=found.pose, depth_error=found.error, found=found.error < limit,
+            information=found.information, hand=self._hand, timings=timings,
         )  # fmt: skip
 
-    def _follow(self, depth: NDArray[np.float32], fallback: Float | None) -> _Found | None:
+    def _follow(self, depth: NDArray[np.float32], fallback: Float | None) -> Found | None:
         """The last pose and its extrapolation, or the last good pose, fitted."""
         if self._pose is None:
             return None
         other = fallback
         if other is None:
             other = apply_increment(self._pose, self.config.velocity * self._motion)
-        return self._fit(self._fitter, depth, np.stack([self._pose, other][: self._followed]))
+        return self._fit(depth, np.stack([self._pose, other][: self._follower.nrow]))
 
-    def _search_near(self, depth: NDArray[np.float32], tracked: _Found) -> _Found:
+    def _search_near(self, depth: NDArray[np.float32], tracked: Found) -> Found:
         """The tracked pose, or a better candidate from about the same place."""
         config = self.config
         pool = np.concatenate([
@@ -241,66 +276,75 @@ class TrackerHybrid:
         ])  # fmt: skip
         centre = keypoints(self._hand, tracked.pose).mean(axis=0)
         candidates = self._near.run(depth, centre[None], extra=pool)
-        return self._best(depth, candidates, tracked)
+        best = candidates.best(self._costs(candidates), config.finalists, self._hand)
+        (final,) = self._final.run(depth[None], [best])
+        row = int(np.argmin(self._costs(final)))
+        return self._better(tracked, Found(
+            pose=final.poses[row], error=float(final.errors[row]),
+            presence=float(final.presence[row]),
+            information=self._final.fitter.information(row),
+        ))  # fmt: skip
 
-    def _search_far(self, depth: NDArray[np.float32], tracked: _Found | None) -> _Found | None:
+    def _search_scene(self, depth: NDArray[np.float32], tracked: Found | None) -> Found | None:
         """The best candidate of the whole scene, or the tracked pose when that is better."""
-        regions = find_hand_regions(depth, self._camera, max_regions=self._far.places)
-        if not regions:
-            return tracked
-        centres = np.stack([region.centre for region in regions])
-        # Every place is searched by as many rows; the best region takes those left over.
-        missing = self._far.places - len(centres)
-        centres = np.concatenate([centres, np.tile(centres[:1], (missing, 1))])
-        return self._best(depth, self._far.run(depth, centres), tracked)
+        (found,) = self._scene.run(depth[None], self._costs, self._rng)
+        if found is None or tracked is None:
+            return found or tracked
+        return self._better(tracked, found)
 
-    def _best(
-        self, depth: NDArray[np.float32], candidates: Candidates, tracked: _Found | None
-    ) -> _Found:
-        """The lowest cost E_c among the tracked pose and the finalists (Eq. II.20)."""
-        finalists = self._distinct(candidates)
-        best = self._fit(self._final, depth, finalists)
-        if tracked is None:
-            return best
-        improved = self._cost(best.pose, best.error) < self.config.gain * self._cost(
-            tracked.pose, tracked.error
+    def _better(self, tracked: Found, found: Found) -> Found:
+        """The tracked pose, unless the other one costs clearly less (Eq. II.20)."""
+        gain = self.config.gain * self._cost(tracked.pose, tracked.error)
+        return found if self._cost(found.pose, found.error) < gain else tracked
+
+    def _scene_search(self, frames: int) -> SceneSearch:
+        config = self.config
+        return SceneSearch(
+            self._hand, self._camera, self._forest, config=config.scene, fit=config.fit,
+            search=config.search, finalists=config.finalists, frames=frames, **self._options,
+        )  # fmt: skip
+
+    def find_all(self, depths: NDArray[np.float32]) -> list[Estimate]:
+        """The hand in independent frames, without memory of any.
+
+        Args:
+            depths: Clean depth [m], shape (n, height, width).
+        """
+        self.forget()
+        if self._batch is None:
+            self._batch = self._scene_search(BATCH)
+        estimates: list[Estimate] = []
+        for first in range(0, len(depths), BATCH):
+            part = np.zeros((BATCH, *depths.shape[1:]), np.float32)
+            count = min(BATCH, len(depths) - first)
+            part[:count] = depths[first : first + count]
+            found = self._batch.run(part, self._costs, self._rng)[:count]
+            estimates += [self._judged(one, self.config.accept_error, {}) for one in found]
+        return estimates
+
+    def _costs(self, candidates: Candidates) -> Float:
+        """E_c of Eq. II.20 [m], with what the forest says and what E_d cannot see."""
+        temporal = [self._cost(pose, 0.0) for pose in candidates.poses]
+        absent = self.config.presence_weight * (1.0 - candidates.presence)
+        return (
+            candidates.errors
+            + temporal
+            + absent
+            + misplacement(candidates, self._hand, self._camera)
         )
-        return best if improved else tracked
 
-    def _distinct(self, candidates: Candidates) -> Float:
-        """The best candidates that differ from each other, as many as are fitted to the end."""
-        points = keypoints(self._hand, candidates.poses)
-        chosen = [0]
-        for row in range(1, len(points)):
-            if len(chosen) == self.config.finalists:
-                break
-            if candidates.places[row] != candidates.places[chosen[0]]:
-                continue
-            gaps = np.linalg.norm(points[chosen] - points[row], axis=-1).mean(axis=-1)
-            if gaps.min() > 0.004:
-                chosen.append(row)
-        chosen += [chosen[-1]] * (self.config.finalists - len(chosen))
-        return candidates.poses[chosen]
-
-    def _search_as_thesis(self, depth: NDArray[np.float32]) -> _Found | None:
+    def _search_as_thesis(self, depth: NDArray[np.float32]) -> Found | None:
         """Steps 1 to 5: every frame is searched, the last pose is one candidate of the pool."""
         last = self._pose if self._sure else None
-        if last is not None:
-            centre = keypoints(self._hand, last).mean(axis=0)
-            candidates = self._near.run(depth, centre[None], extra=last[None], reference=last)
-        else:
-            regions = find_hand_regions(depth, self._camera, max_regions=1)
-            if not regions:
-                return None
-            candidates = self._far.run(depth, regions[0].centre[None])
-        costs = np.array([
-            self._cost(pose, error)
-            for pose, error in zip(candidates.poses, candidates.errors, strict=True)
-        ])  # fmt: skip
-        best = int(np.argmin(costs))
-        return _Found(
-            pose=candidates.poses[best], error=float(candidates.errors[best]), information=None
-        )
+        if last is None:
+            return self._search_scene(depth, None)
+        centre = keypoints(self._hand, last).mean(axis=0)
+        candidates = self._near.run(depth, centre[None], extra=last[None], reference=last)
+        best = int(np.argmin(self._costs(candidates)))
+        return Found(
+            pose=candidates.poses[best], error=float(candidates.errors[best]), presence=1.0,
+            information=None,
+        )  # fmt: skip
 
     def _cost(self, pose: Float, error: float) -> float:
         """E_c of Eq. II.20 [m]; the temporal term counts only after a frame that was tracked."""
@@ -310,18 +354,20 @@ class TrackerHybrid:
         change[:3] *= 10.0  # in decimetres
         return error + self.config.temporal_weight * float(change @ change)
 
-    def _fit(self, fitter: Fitter, depth: NDArray[np.float32], starts: Float) -> _Found:
-        """The lowest cost of some starts fitted to the end."""
-        centre = keypoints(self._hand, starts).mean(axis=(0, 1))
+    def _fit(self, depth: NDArray[np.float32], starts: Float) -> Found:
+        """The lowest depth error among the followed poses."""
+        fitter = self._follower
         fitter.load_depth(depth)
-        fitter.place(centre)
+        # The middle between the starts keeps each of them within the crop.
+        fitter.place(keypoints(self._hand, starts).mean(axis=(0, 1)))
         fitter.set_poses(starts)
         fitter.run()
-        errors = fitter.errors.astype(np.float64)
+        errors, poses = fitter.errors.astype(np.float64), unit_poses(fitter)
         best = int(np.argmin(errors))
-        pose = fitter.poses[best].astype(np.float64)
-        pose[3:7] /= np.linalg.norm(pose[3:7])
-        return _Found(pose=pose, error=float(errors[best]), information=fitter.information(best))
+        return Found(
+            pose=poses[best], error=float(errors[best]), presence=1.0,
+            information=fitter.information(best),
+        )  # fmt: skip
 
 
 class _Clock:

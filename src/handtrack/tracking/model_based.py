@@ -12,16 +12,15 @@ from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
 from handtrack.fitting.config import THESIS, FitConfig
 from handtrack.fitting.fitter import Fitter
+from handtrack.fitting.uncertainty import FitInformation
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NV
 from handtrack.priors.gaussian import GaussianPrior
+from handtrack.tracking.doubt import Doubt
 from handtrack.tracking.rescue import restart_poses
 from handtrack.tracking.stepper import Estimate
 from handtrack.transforms import apply_increment, pose_difference
-
-LEVEL_RATE = 0.05
-"""Share of a frame's depth error in its running level: about 20 frames of memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,9 +69,11 @@ class ModelBasedConfig:
             )
 
     def make(
-        self, hand: ShapedHand, camera: Camera, *, device: str | None, seed: int, graph: bool
-    ) -> TrackerModelBased:
-        """Allocate the method; see `Stepper`."""
+        self, hand: ShapedHand, camera: Camera, *, known_shape: bool, device: str | None,
+        seed: int, graph: bool,
+    ) -> TrackerModelBased:  # fmt: skip
+        """Allocate the method; see `TrackerConfig`."""
+        del known_shape  # the hand is taken as it is
         return TrackerModelBased(hand, camera, config=self, device=device, seed=seed, graph=graph)
 
 
@@ -123,6 +124,10 @@ class TrackerModelBased:
             if used is not None:
                 used.warm_up()
         self._seed = seed
+        self._doubt = Doubt(
+            error=self.config.rescue_error, jump=self.config.rescue_jump,
+            period=self.config.rescue_period,
+        )  # fmt: skip
         self.start(None)
 
     @property
@@ -137,8 +142,11 @@ class TrackerModelBased:
             self._pose = np.array(pose, np.float64)
         self._motion = np.zeros(NV)
         self._rng = np.random.default_rng(self._seed)
-        self._level: float | None = None
-        self._frames_since_try = 0
+        self._doubt.forget()
+
+    def forget(self) -> None:
+        """Start from nothing; see `Stepper`."""
+        self.start(None)
 
     def step(
         self, depth: NDArray[np.float32], *, fallback: NDArray[np.float64] | None = None
@@ -160,15 +168,14 @@ class TrackerModelBased:
             fallback = apply_increment(pose, self.config.velocity * self._motion)
         starts = np.stack([pose, fallback][: self._nhyp])
         clock.append(time.perf_counter())
-        found, error = self._refine(self._fitter, depth, starts)
+        found, error, information = self._refine(self._fitter, depth, starts)
         clock.append(time.perf_counter())
-        if self._rescuer is not None and self._needs_rescue(error):
+        if self._rescuer is not None and self._doubt.arises(error):
             restarts = restart_poses(self._hand, found, self.config.rescue_rows, self._rng)
-            other, other_error = self._refine(self._rescuer, depth, restarts)
+            other, other_error, other_information = self._refine(self._rescuer, depth, restarts)
             if other_error < self.config.rescue_gain * error:
-                found, error = other, other_error
-        level = error if self._level is None else self._level
-        self._level = level + LEVEL_RATE * (error - level)
+                found, error, information = other, other_error, other_information
+        self._doubt.remember(error)
         self._motion = pose_difference(found, pose)
         self._pose = found
         clock.append(time.perf_counter())
@@ -177,24 +184,14 @@ class TrackerModelBased:
             pose=found,
             depth_error=error,
             found=error < self.config.lost_error,
+            information=information,
             timings=dict(zip(("predict", "fit", "rescue"), map(float, spans), strict=True)),
         )
 
-    def _needs_rescue(self, error: float) -> bool:
-        """Whether to try restarts: the depth is explained badly, and worse than it used to be."""
-        self._frames_since_try += 1
-        if error <= self.config.rescue_error:
-            return False
-        jumped = self._level is not None and error > self.config.rescue_jump * self._level
-        if not jumped and self._frames_since_try < self.config.rescue_period:
-            return False
-        self._frames_since_try = 0
-        return True
-
     def _refine(
         self, fitter: Fitter, depth: NDArray[np.float32], starts: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], float]:
-        """Best of the refined starts, shape (28,), and its depth error [m]."""
+    ) -> tuple[NDArray[np.float64], float, FitInformation]:
+        """Best of the refined starts, shape (28,), its depth error [m], and what its fit knew."""
         # The middle between the starts keeps each of them within the crop.
         centre = keypoints(self._hand, starts).mean(axis=(0, 1))
         fitter.load_depth(depth)
@@ -205,4 +202,4 @@ class TrackerModelBased:
         best = int(np.argmin(errors))
         found = fitter.poses[best].astype(np.float64)
         found[3:7] /= np.linalg.norm(found[3:7])
-        return found, float(errors[best])
+        return found, float(errors[best]), fitter.information(best)

@@ -9,9 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from handtrack.fitting.uncertainty import FitInformation, keypoint_deviation
 from handtrack.hand.kinematics import keypoints, skin
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.side import Side
+from handtrack.hand.skeleton import NKEYPOINT
 
 
 class TrackState(enum.Enum):
@@ -47,11 +49,24 @@ class HandResult:
     """Why the frame could not be used, None for a good frame."""
     timings: dict[str, float] = field(default_factory=dict, repr=False)
     """Time spent per stage [ms]."""
+    information: FitInformation | None = field(default=None, repr=False)
+    """What the fit of the pose knew of it; None when not known."""
 
     @cached_property
     def keypoints(self) -> NDArray[np.float32]:
         """The 21 keypoints [m], shape (21, 3), camera frame; NaN with NO_HAND."""
         return keypoints(self.hand, self.pose).astype(np.float32)
+
+    @cached_property
+    def keypoint_std(self) -> NDArray[np.float32]:
+        """One sigma of each keypoint [m], shape (21,), as a distance in space.
+
+        NaN where it is not known: LOST, NO_HAND, or a tracker that does not tell. See
+        `handtrack.fitting.uncertainty` for what lies within it.
+        """
+        if self.information is None:
+            return np.full(NKEYPOINT, np.nan, np.float32)
+        return keypoint_deviation(self.hand, self.pose, self.information).astype(np.float32)
 
     @cached_property
     def vertices(self) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
+from handtrack.fitting.uncertainty import FitInformation
 from handtrack.hand.model import ShapedHand
 
 
@@ -24,8 +25,12 @@ class Estimate:
     """The flag delta of Eq. II.19: the pose explains the depth."""
     problem: str | None = None
     """Why it was not found."""
+    hand: ShapedHand | None = None
+    """The hand as the tracker takes it to be by now; None when it is still the one given."""
     timings: dict[str, float] = field(default_factory=dict)
     """Time spent per stage [ms]."""
+    information: FitInformation | None = None
+    """What the fit of that pose knew of it, for `HandResult.keypoint_std`; None when not known."""
 
 
 class Stepper(Protocol):
@@ -41,6 +46,10 @@ class Stepper(Protocol):
 
     def start(self, pose: NDArray[np.float64] | None) -> None:
         """Go on from a pose at rest, shape (28,), or from nothing."""
+        ...
+
+    def forget(self) -> None:
+        """Start from nothing, as if new."""
         ...
 
     def step(
@@ -59,13 +68,15 @@ class TrackerConfig(Protocol):
     """Settings of a tracking method, which make the method."""
 
     def make(
-        self, hand: ShapedHand, camera: Camera, *, device: str | None, seed: int, graph: bool
+        self, hand: ShapedHand, camera: Camera, *, known_shape: bool, device: str | None,
+        seed: int, graph: bool,
     ) -> Stepper:  # fmt: skip
         """Allocate the method for one hand and camera.
 
         Args:
             hand: The person's hand.
             camera: Camera of the depth images.
+            known_shape: Whether `hand` is the person's own, rather than the mean hand.
             device: "cpu", "cuda:N" or None for the best there is.
             seed: Seed of whatever is random.
             graph: False launches eagerly, for debugging.

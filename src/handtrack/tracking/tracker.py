@@ -11,11 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 from handtrack.camera.camera import Camera
 from handtrack.camera.frame import check_depth
 from handtrack.errors import InputError
+from handtrack.fitting.uncertainty import FitInformation
 from handtrack.hand.model import HandModel
 from handtrack.hand.shape import HandShape
 from handtrack.hand.side import Side, check_side
 from handtrack.hand.skeleton import NQ
+from handtrack.tracking.discriminative import DiscriminativeConfig
+from handtrack.tracking.hybrid import THESIS_HYBRID, HybridConfig
 from handtrack.tracking.model_based import THESIS_TRACKER, ModelBasedConfig
+from handtrack.tracking.pso import PsoConfig
 from handtrack.tracking.result import HandResult, TrackState
 from handtrack.tracking.stepper import TrackerConfig
 
@@ -23,8 +27,12 @@ FORGET_FRAMES = 10
 """So many frames in a row without the hand, and it is gone: NO_HAND rather than LOST."""
 
 TRACKERS: dict[str, TrackerConfig] = {
+    "hybrid": HybridConfig(),
+    "thesis_hybrid": THESIS_HYBRID,
+    "discriminative": DiscriminativeConfig(),
     "model_based": ModelBasedConfig(),
     "thesis": THESIS_TRACKER,
+    "pso": PsoConfig(),
 }
 """Name of each tracker and its settings."""
 
@@ -42,7 +50,7 @@ class HandTracker:
         side: str = "right",
         shape: HandShape | None = None,
         device: str | None = None,
-        tracker: str = "model_based",
+        tracker: str = "hybrid",
         config: TrackerConfig | None = None,
         seed: int = 0,
         model: HandModel | None = None,
@@ -71,10 +79,20 @@ class HandTracker:
         self.side: Side = check_side(side)
         self.hand = (model if model is not None else HandModel.load()).shaped(shape, side=side)
         self._tracker = (config or TRACKERS[tracker]).make(
-            self.hand, camera, device=device, seed=seed, graph=graph
+            self.hand,
+            camera,
+            known_shape=shape is not None,
+            device=device,
+            seed=seed,
+            graph=graph,
         )
         self._buffer = np.zeros(camera.shape, np.float32)
         self._forget(None)
+
+    @property
+    def automatic(self) -> bool:
+        """Whether it finds the hand by itself; the others need `reset(pose)` first."""
+        return self._tracker.automatic
 
     def reset(self, pose: ArrayLike | None = None) -> None:
         """Forget the past; with a pose, shape (28,), go on from there.
@@ -84,7 +102,9 @@ class HandTracker:
         """
         good = None if pose is None else _check_pose(pose)
         self._forget(good)
-        self._tracker.start(good)
+        self._tracker.forget()
+        if good is not None:
+            self._tracker.start(good)
 
     def track(self, depth: Any) -> HandResult:
         """Find the hand in the next frame.
@@ -108,12 +128,15 @@ class HandTracker:
             return self._missed(np.nan, problem, timings)
         estimate = self._tracker.step(clean, fallback=self._good if self._missed_frames else None)
         timings |= estimate.timings
+        self.hand = estimate.hand or self.hand
         timings["total"] = 1e3 * (time.perf_counter() - begin)
         if estimate.found and estimate.pose is not None:
             again = self._missed_frames > 0 and self._good is not None
             self._state = TrackState.RECOVERED if again else TrackState.TRACKING
             self._good, self._missed_frames = estimate.pose, 0
-            return self._result(estimate.pose, estimate.depth_error, None, timings)
+            return self._result(
+                estimate.pose, estimate.depth_error, None, timings, estimate.information
+            )
         why = estimate.problem or "the hand explains the image too badly"
         return self._missed(estimate.depth_error, why, timings)
 
@@ -135,11 +158,11 @@ class HandTracker:
 
     def _result(
         self, pose: NDArray[np.float64], error: float, problem: str | None,
-        timings: dict[str, float],
+        timings: dict[str, float], information: FitInformation | None = None,
     ) -> HandResult:  # fmt: skip
         return HandResult(
             state=self._state, side=self.side, pose=pose.copy(), depth_error=float(error),
-            hand=self.hand, problem=problem, timings=timings,
+            hand=self.hand, problem=problem, timings=timings, information=information,
         )  # fmt: skip
 
 

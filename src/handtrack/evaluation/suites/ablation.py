@@ -30,7 +30,10 @@ def ablation_suite(settings: SuiteSettings, cases: Mapping[str, Any]) -> SuiteRe
     subjects = [render_subject(data, seed, settings, model) for seed in data["subjects"]]
     found, notes = [], []
     for tracker in data["trackers"]:
-        for name, config in variants(TRACKERS[tracker], data["switches"]):
+        default = TRACKERS[tracker]
+        if not isinstance(default, ModelBasedConfig):
+            raise InputError(f"{tracker} has none of the switches of the suite ablation")
+        for name, config in variants(default, data["switches"]):
             try:
                 found += _cases(name, config, tracker, subjects, data, settings, model)
             except MissingFileError as error:
@@ -57,9 +60,10 @@ def _cases(
             )
             for subject in subjects
         ]  # fmt: skip
-        facts = case_facts(settings, data["subjects"], stride)
+        run = join_runs(runs)
+        facts = case_facts(settings, data["subjects"], stride, run)
         case = f"{name}/stride-{stride}"
-        found.append(bench_case(join_runs(runs), case=case, tracker=tracker, **facts))
+        found.append(bench_case(run, case=case, tracker=tracker, **facts))
     return found
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from handtrack.errors import InputError
 from handtrack.hand.kinematics import keypoints
@@ -48,10 +48,10 @@ def fist_motion(case: Mapping[str, Any], hand: ShapedHand) -> Motion:
         raise InputError("the postures of the self-occlusion test are beyond the joint limits")
 
     keys = [key["frame"] for key in plan["palm"]]
-    turns = _track(keys, np.radians([key["turn"] for key in plan["palm"]]), frames)
-    places = _track(keys, np.array([key["place"] for key in plan["palm"]], np.float64), frames)
+    turns = keyframe_track(keys, np.radians([key["turn"] for key in plan["palm"]]), frames)
+    places = keyframe_track(keys, [key["place"] for key in plan["palm"]], frames)
     poses = np.zeros((frames, 28))
-    poses[:, 3:7] = matrix_to_quat(_turned(turns) @ R_CAMERA_UPRIGHT)
+    poses[:, 3:7] = matrix_to_quat(turned(turns) @ R_CAMERA_UPRIGHT)
     poses[:, 7:] = angles
     poses[:, :3] = places - keypoints(hand, poses)[:, list(_PALM_KEYPOINTS)].mean(axis=1)
     return Motion.from_poses(
@@ -74,11 +74,25 @@ def _named(keys: Sequence[tuple[int, str]], postures: Mapping[str, Float], frame
     unknown = [name for _, name in keys if name not in postures]
     if unknown:
         raise InputError(f"keyframe posture {unknown[0]!r}: expected {', '.join(postures)}")
-    return _track([frame for frame, _ in keys], np.stack([postures[n] for _, n in keys]), frames)
+    values = np.stack([postures[name] for _, name in keys])
+    return keyframe_track([frame for frame, _ in keys], values, frames)
 
 
-def _track(keys: Sequence[int], values: Float, frames: int) -> Float:
-    """Values of every frame, shape (frames, n), from those at the keyframes, shape (k, n)."""
+def keyframe_track(keys: Sequence[int], values: ArrayLike, frames: int) -> Float:
+    """Values of every frame, between keyframes with least jerk, before and after them at rest.
+
+    Args:
+        keys: Keyframes, ascending from 0.
+        values: Values there, shape (k, n).
+        frames: Number of frames.
+
+    Returns:
+        Shape (frames, n).
+
+    Raises:
+        InputError: The keyframes do not ascend from 0, or there is only one.
+    """
+    values = np.asarray(values, np.float64)
     places = np.asarray(keys, np.float64)
     if len(places) < 2 or places[0] != 0 or (np.diff(places) <= 0).any():
         raise InputError(f"keyframes are {list(keys)}: expected ascending numbers from 0")
@@ -88,7 +102,7 @@ def _track(keys: Sequence[int], values: Float, frames: int) -> Float:
     return values[after - 1] + share[:, None] * (values[after] - values[after - 1])
 
 
-def _turned(turns: Float) -> Float:
-    """Rotations about the camera's x, then y, then z, shape (n, 3, 3), of angles [rad]."""
+def turned(turns: Float) -> Float:
+    """Rotations about the camera's x, then y, then z, shape (n, 3, 3), of angles [rad], (n, 3)."""
     single = [rotvec_to_matrix(turns[:, [axis]] * np.eye(3)[axis]) for axis in range(3)]
     return single[2] @ single[1] @ single[0]

@@ -47,6 +47,11 @@ def sequence_suite(settings: SuiteSettings, cases: Mapping[str, Any]) -> SuiteRe
             frames[0].camera, side=recorded.side, shape=recorded.shape, device=settings.device,
             tracker=name, seed=settings.seed, model=model,
         )  # fmt: skip
+        if not (starts or tracker.automatic):
+            raise InputError(
+                f"{recorded.name} has no labels that tell the first pose, which {name} needs: give "
+                "it with --start POSE.json (28 numbers) or --start results.npz"
+            )
         run = run_tracker(tracker, frames, starts, progress=settings.progress, text=name)
         found.append(bench_case(run, case=recorded.name, tracker=name, side=recorded.side))
         if run.labelled.any():

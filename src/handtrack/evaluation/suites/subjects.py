@@ -13,6 +13,7 @@ from handtrack.camera.camera import Camera
 from handtrack.camera.frame import DepthFrame
 from handtrack.evaluation.runner import Run, run_tracker
 from handtrack.evaluation.suites.suite import SuiteSettings
+from handtrack.evaluation.visibility import visible_keypoints
 from handtrack.hand.model import HandModel
 from handtrack.hand.shape import HandShape
 from handtrack.synthesis.motion import Motion
@@ -34,6 +35,8 @@ class SubjectFrames:
     """Every frame of the motion, with truth."""
     segment_starts: NDArray[np.int64]
     """First frame of each take, shape (k,)."""
+    visible: NDArray[np.bool_]
+    """Whether each true keypoint is in sight, shape (n, 21)."""
 
     def every(self, stride: int) -> tuple[list[DepthFrame], dict[int, NDArray[np.float64]]]:
         """Every n-th frame, and the true pose of the first one kept of each take, by its place."""
@@ -70,13 +73,38 @@ def render_subject(
     """
     motion = motion_of(data)
     shape = model.sample_shape(np.random.default_rng(seed))
+    hand, camera = model.shaped(shape), Camera.from_dict(data["camera"])
     frames = synthesize_sequence(
-        motion, model.shaped(shape), Camera.from_dict(data["camera"]), noise_preset(data["noise"]),
+        motion, hand, camera, noise_preset(data["noise"]),
         seed=settings.seed, forearm=bool(data["forearm"]), device=settings.device,
     )  # fmt: skip
     shown = settings.progress(frames, len(motion), f"rendering subject {seed}")
     return SubjectFrames(
-        seed=seed, shape=shape, frames=list(shown), segment_starts=motion.segment_starts
+        seed=seed,
+        shape=shape,
+        frames=list(shown),
+        segment_starts=motion.segment_starts,
+        visible=visible_keypoints(hand, camera, motion.to_poses(), device=settings.device),
+    )
+
+
+def subject_tracker(
+    subject: SubjectFrames,
+    settings: SuiteSettings,
+    model: HandModel,
+    *,
+    tracker: str,
+    config: ModelBasedConfig | None = None,
+) -> HandTracker:
+    """A tracker for a subject's frames, told the subject's shape if the settings say so."""
+    return HandTracker(
+        subject.frames[0].camera,
+        shape=subject.shape if settings.shape == "given" else None,
+        device=settings.device,
+        tracker=tracker,
+        config=config,
+        seed=settings.seed,
+        model=model,
     )
 
 
@@ -88,6 +116,7 @@ def track_subject(
     *,
     tracker: str,
     config: ModelBasedConfig | None = None,
+    starts: Mapping[int, NDArray[np.float64]] | None = None,
     text: str = "",
 ) -> Run:
     """Run a tracker over every n-th frame of a subject.
@@ -99,21 +128,25 @@ def track_subject(
         model: The parametric hand.
         tracker: Name of the tracker.
         config: Settings instead of its own.
+        starts: Poses given to a tracker that does not start by itself, by place among the frames;
+            the true ones at the first frame of each take without.
         text: What the progress says.
     """
-    frames, starts = subject.every(stride)
-    made = HandTracker(
-        frames[0].camera,
-        shape=subject.shape if settings.shape == "given" else None,
-        device=settings.device,
-        tracker=tracker,
-        config=config,
-        seed=settings.seed,
-        model=model,
-    )
-    return run_tracker(made, frames, starts, progress=settings.progress, text=text or tracker)
+    frames, truth = subject.every(stride)
+    made = subject_tracker(subject, settings, model, tracker=tracker, config=config)
+    return run_tracker(
+        made, frames, truth if starts is None else starts, visible=subject.visible[::stride],
+        progress=settings.progress, text=text or tracker,
+    )  # fmt: skip
 
 
-def case_facts(settings: SuiteSettings, subjects: Sequence[int], stride: int) -> dict[str, Any]:
-    """Entries of a case that say what was tracked."""
-    return {"subjects": list(subjects), "stride": stride, "shape": settings.shape}
+def case_facts(
+    settings: SuiteSettings, subjects: Sequence[int], stride: int, run: Run
+) -> dict[str, Any]:
+    """Entries of a case that say what was tracked, and what the tracker was told."""
+    return {
+        "subjects": list(subjects),
+        "stride": stride,
+        "shape": settings.shape,
+        "first_pose": settings.first_pose if run.poses_given else "none",
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
@@ -24,12 +24,25 @@ from handtrack.tracking.tracker import TRACKERS
 SUITES: dict[str, str] = {
     "selftest": "self-occlusion: two fists, noise-free, own model (Hamer 4.4.1)",
     "tracking": "recorded motion with forearm and sensor noise, three subjects, three frame rates",
+    "single-frame": "frames without memory: unseen subjects, any viewpoint, noise, forearm",
+    "recovery": "the tracked pose is scrambled: how many frames until tracking is back",
+    "scenes": "whole scenes: nobody, people, a hand that leaves, a cup, things held in front",
     "speed": "time per frame and stage for 1 to 64 hypotheses, start-up",
     "ablation": "the tracker with every switch changed, one after the other",
-    "real": "labelled real images, started from their labels (needs --data)",
+    "real": "real images with labelled joints or fingertips (needs --data)",
     "sequence": "any recorded sequence (needs --sequence)",
 }
-"""Suite -> what it measures. Each is a module of this package with a function of that name."""
+"""Suite -> what it measures. Each is a module of this package, with a function NAME_suite, and a
+file in `benchmarks/`; dashes become underscores there."""
+
+FIRST_POSE_SUITES = ("tracking",)
+"""Suites that can let an automatic tracker find the first poses."""
+
+_GOAL = ("value", "at_most", "at_least")
+"""What a target asks for; its other entries say of which cases."""
+
+FirstPose = Literal["truth", "found"]
+"""Where trackers that do not start by themselves get the first pose of each take from."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,8 +76,12 @@ class SuiteSettings:
     quick: bool = False
     """Run the small part of the suite that its file in `benchmarks/` names, to see that it
     works."""
-    shape: Literal["given", "mean"] = "given"
-    """Whether trackers know the subject's shape or take the mean hand."""
+    shape: Literal["given", "mean"] | None = None
+    """Whether trackers know the subject's shape or take the mean hand; None takes the suite's
+    own."""
+    first_pose: FirstPose = "truth"
+    """First pose of each take, for trackers that do not start by themselves: the true one, or what
+    an automatic tracker finds there without memory."""
     data: Path | None = None
     """Folder with recordings of others, for the suites that need them."""
     sequence: RecordedFrames | None = None
@@ -122,6 +139,28 @@ class Overlay:
     """Its pose, shape (28,)."""
     text: str = ""
     """What to write into the picture."""
+    zoom: float | None = 0.35
+    """Width of the view at the hand's distance [m]; None shows the whole image."""
+    lost: bool = False
+    """Whether the tracker itself says that the pose does not explain the image."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Curves:
+    """Curves for a picture beside those of `SuiteResult.errors_mm`."""
+
+    name: str
+    """Name of the picture."""
+    title: str
+    """Text above."""
+    xlabel: str
+    """Text under the x axis, with its unit."""
+    ylabel: str
+    """Text beside the y axis, with its unit."""
+    lines: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+    """Legend text -> x and y, each of shape (n,)."""
+    y_range: tuple[float, float] | None = None
+    """Ends of the y axis; from the lines without."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +174,9 @@ class SuiteResult:
     targets: list[Target] = field(default_factory=list)
     """Targets that apply to them."""
     errors_mm: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    """Name of a curve -> error of every keypoint [mm], shape (n, njoint)."""
+    """Name of a curve -> error of every keypoint [mm], shape (n, njoint), frame after frame."""
+    curves: list[Curves] = field(default_factory=list)
+    """Further curves."""
     overlays: list[Overlay] = field(default_factory=list)
     """Pictures worth a look."""
     notes: list[str] = field(default_factory=list)
@@ -161,8 +202,16 @@ def run_suite(name: str, settings: SuiteSettings) -> SuiteResult:
             raise InputError(f"tracker is {tracker!r}; expected one of {', '.join(TRACKERS)}")
     if len(set(settings.trackers)) < len(settings.trackers):
         raise InputError(f"trackers are {', '.join(settings.trackers)}: name each one once")
-    run: Suite = getattr(import_module(f"{__package__}.{name}"), f"{name}_suite")
-    return run(settings, load_cases(name))
+    if settings.first_pose == "found" and name not in FIRST_POSE_SUITES:
+        raise InputError(
+            f"the suite {name} does not let a tracker find first poses; "
+            f"{' and '.join(FIRST_POSE_SUITES)} does"
+        )
+    module = name.replace("-", "_")
+    run: Suite = getattr(import_module(f"{__package__}.{module}"), f"{module}_suite")
+    cases = load_cases(name)
+    shape = settings.shape or cases.get("shape", "given")
+    return run(replace(settings, shape=shape), cases)
 
 
 def load_cases(name: str) -> dict[str, Any]:
@@ -172,7 +221,7 @@ def load_cases(name: str) -> dict[str, Any]:
         MissingFileError: It does not come with this installation.
         DamagedFileError: It is not TOML.
     """
-    path = artifact_path(f"benchmarks/{name}.toml")
+    path = artifact_path(f"benchmarks/{name.replace('-', '_')}.toml")
     try:
         with path.open("rb") as file:
             return tomllib.load(file)
@@ -197,24 +246,29 @@ def judged(
 
     Args:
         cases: Measured cases.
-        targets: Entries `case`, `value` and `at_most` or `at_least`.
-        tracker: The tracker whose cases must meet them.
+        targets: Entries `value` and `at_most` or `at_least`. All others are conditions: they must
+            be entries of a case, with the same value, for the target to apply to it, such as
+            `case`, `tracker` and `shape`.
+        tracker: The tracker whose cases must meet the targets that name none.
 
     Returns:
         The targets whose case was measured.
     """
     found = []
     for target in targets:
+        conditions = {"tracker": tracker} | {
+            key: value for key, value in target.items() if key not in _GOAL
+        }
         for case in cases:
-            if (case["case"], case["tracker"]) != (target["case"], tracker):
+            if any(case.get(key) != value for key, value in conditions.items()):
                 continue
             reached: Any = case
             for key in target["value"].split("."):
                 reached = reached[key]
             found.append(
                 Target(
-                    case=target["case"],
-                    tracker=tracker,
+                    case=case["case"],
+                    tracker=case["tracker"],
                     value=target["value"],
                     bound=float(target.get("at_most", target.get("at_least"))),
                     at_most="at_most" in target,

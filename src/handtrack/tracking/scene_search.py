@@ -1,0 +1,184 @@
+"""The hand in whole scenes, without memory: regions, candidates in each, rounds of restarts.
+
+One frame while tracking, several independent ones for `HandTracker.track_batch`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handtrack.camera.camera import Camera
+from handtrack.camera.segmentation import HandRegion, find_hand_regions, wrists_of
+from handtrack.fitting.config import FitConfig
+from handtrack.fitting.uncertainty import FitInformation
+from handtrack.forest.artifact import Forest
+from handtrack.hand.model import ShapedHand
+from handtrack.tracking.candidates import (
+    Candidates,
+    CandidateSearch,
+    Refinement,
+    restarts_around,
+)
+
+Float = NDArray[np.float64]
+
+Cost = Callable[[Candidates], Float]
+"""Cost of each candidate [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """A pose with what decides about it."""
+
+    pose: Float
+    """Pose, shape (28,)."""
+    error: float
+    """Depth error E_d [m]."""
+    presence: float
+    """Chance that a hand is in the place where it was found."""
+    information: FitInformation | None
+    """What the fit knew of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchConfig:
+    """How much is tried when nothing is known."""
+
+    regions: int = 3
+    """Places of the scene that are searched."""
+    rounds: int = 3
+    """Rounds of restarts around the best candidates."""
+    rows: int = 16
+    """Poses refined per round."""
+    elites: int = 4
+    """Candidates that each round starts from."""
+
+
+class SceneSearch:
+    """Everything allocated for searching a fixed number of frames at a time."""
+
+    def __init__(
+        self,
+        hand: ShapedHand,
+        camera: Camera,
+        forest: Forest,
+        *,
+        config: SearchConfig,
+        fit: FitConfig,
+        search: FitConfig,
+        finalists: int,
+        frames: int = 1,
+        device: str | None = None,
+        graph: bool = True,
+    ) -> None:
+        """Allocate.
+
+        Args:
+            hand: The person's hand.
+            camera: Camera of the depth images.
+            forest: The regressor.
+            config: How much is tried.
+            fit: The fit of the finalists.
+            search: The refinement of all others.
+            finalists: Candidates that are fitted to the end.
+            frames: Frames searched at a time.
+            device: "cpu", "cuda:N" or None for the best there is.
+            graph: False launches eagerly, for debugging.
+        """
+        self._hand, self._camera, self._config = hand, camera, config
+        self.frames, self._finalists = frames, finalists
+        self._candidates = CandidateSearch(
+            hand, camera, forest, fit=search, places=frames * config.regions, device=device,
+            graph=graph,
+        )  # fmt: skip
+        self._candidates.warm_up()
+
+        def refinement(fit: FitConfig, rows: int) -> Refinement:
+            return Refinement(
+                hand, camera, fit=fit, frames=frames, rows=rows, device=device, graph=graph
+            )
+
+        self._rounds = refinement(search, config.rows) if config.rounds else None
+        self._final = refinement(fit, finalists)
+        self._pool = ThreadPoolExecutor(2) if frames > 1 else None
+
+    def resize(self, hand: ShapedHand) -> None:
+        """Go on with the same hand at another scale."""
+        self._hand = hand
+        for part in (self._candidates, self._rounds, self._final):
+            if part is not None:
+                part.resize(hand)
+
+    def run(
+        self, depths: NDArray[np.float32], cost: Cost, rng: np.random.Generator
+    ) -> list[Found | None]:
+        """Search every frame.
+
+        Args:
+            depths: Clean depth [m], shape (frames, height, width).
+            cost: What the candidates are compared by.
+            rng: Source of the random numbers.
+
+        Returns:
+            The best pose of each frame; None where nothing has the size of a hand.
+        """
+        regions = self._regions(depths)
+        empty = [not one for one in regions]
+        if all(empty):
+            return [None] * self.frames
+        places = [self._filled(one) for one in regions]
+        found = self._candidates.run(
+            np.repeat(depths, self._config.regions, axis=0),
+            np.concatenate([[region.centre for region in one] for one in places]),
+            wrists=np.concatenate([wrists_of(one) for one in places]),
+            scores=np.array([region.score for one in places for region in one]),
+        )
+        per_frame = len(found.poses) // self.frames
+        pools = [
+            found.take(np.arange(k * per_frame, (k + 1) * per_frame)) for k in range(self.frames)
+        ]
+        if self._rounds is not None:
+            for _ in range(self._config.rounds):
+                pools = self._rounds.run(depths, [
+                    restarts_around(
+                        pool.best(cost(pool), self._config.elites, self._hand),
+                        self._config.rows, self._hand, rng,
+                    )
+                    for pool in pools
+                ])  # fmt: skip
+        finals = self._final.run(
+            depths, [pool.best(cost(pool), self._finalists, self._hand) for pool in pools]
+        )
+        results: list[Found | None] = []
+        for frame, final in enumerate(finals):
+            best = int(np.argmin(cost(final)))
+            results.append(None if empty[frame] else Found(
+                pose=final.poses[best], error=float(final.errors[best]),
+                presence=float(final.presence[best]),
+                information=self._final.fitter.information(frame * self._finalists + best),
+            ))  # fmt: skip
+        return results
+
+    def _filled(self, regions: list[HandRegion]) -> list[HandRegion]:
+        """As many regions as are searched: a frame's best one takes the rows left over."""
+        known = regions or [_NOWHERE]
+        return known + [known[0]] * (self._config.regions - len(known))
+
+    def _regions(self, depths: NDArray[np.float32]) -> list[list[HandRegion]]:
+        """Regions of each frame, the most plausible first."""
+
+        def find(depth: NDArray[np.float32]) -> list[HandRegion]:
+            return find_hand_regions(depth, self._camera, max_regions=self._config.regions)
+
+        if self._pool is None:
+            return [find(depth) for depth in depths]
+        return list(self._pool.map(find, depths))
+
+
+_NOWHERE = HandRegion(centre=np.array([0.0, 0.0, 0.5]), radius=0.1, box=(0, 0, 0, 0))
+"""Stands for the regions of a frame without any, in batches."""
