@@ -127,6 +127,8 @@ def test_targets_are_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
         (["--sequence", "nowhere.npz"], "nowhere.npz"),
         (["selftest", "--tracker", "oracle"], "model_based"),
         (["real"], "--data"),
+        (["single-frame", "--tracker", "thesis"], "needs a first pose"),
+        (["selftest", "--first-pose", "found"], "tracking does"),
         (["selftest", "--json", "none/x.json"], "is no folder"),
         (["races"], "selftest"),
     ],
@@ -150,6 +152,38 @@ def test_a_sequence_without_labels_asks_for_its_start(
     np.savez(tmp_path / "bare.npz", **kept)
     assert bench("--sequence", tmp_path / "bare.npz") == 2
     assert "--start" in capsys.readouterr().err
+
+
+def test_first_poses_can_be_found_and_shapes_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from handtrack.evaluation.suites import suite
+
+    seen = []
+
+    def nothing(name: str, settings: suite.SuiteSettings) -> suite.SuiteResult:
+        seen.append((name, settings))
+        curves = suite.Curves(
+            name="share", title="t", xlabel="x", ylabel="y", y_range=(0.0, 100.0),
+            lines={"a": (np.array([0.0, 1.0]), np.array([0.0, 50.0]))},
+        )  # fmt: skip
+        case = {"case": "all", "tracker": "hybrid", "frames": 3, "within_1": 0.5}
+        return suite.SuiteResult(suite=name, cases=[case], curves=[curves])
+
+    monkeypatch.setattr(suite, "run_suite", nothing)
+    words = ["--first-pose", "found", "--shape", "mean", "--curves", tmp_path / "c"]
+    assert bench("tracking", *words, "--format", "json") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == (
+        "handtrack bench tracking --first-pose found --shape mean --device cpu"
+    )
+    assert bench("single-frame", "--quick", "--format", "short") == 0
+    assert capsys.readouterr().out == "all hybrid: frames 3, back in 1 50.0%\n"
+    (_, found), (name, own) = seen
+    assert (found.first_pose, found.shape) == ("found", "mean")
+    assert (name, own.first_pose, own.shape) == ("single-frame", "truth", None)
+    # The suite's own curves, and none of errors that it does not have.
+    assert [path.name for path in (tmp_path / "c").iterdir()] == ["tracking-share.png"]
 
 
 def test_help_names_every_suite(capsys: pytest.CaptureFixture[str]) -> None:

@@ -73,6 +73,8 @@ def test_everything_is_written_and_fits_together(sequence: Path, run: Path) -> N
     error = np.linalg.norm(found["keypoints"] - found["truth_keypoints"], axis=-1)
     assert 1e3 * error.mean() < 8.0
     assert (found["depth_error"] < 0.02).all()
+    assert found["keypoint_std"].shape == (COUNT, 21)
+    assert (1e3 * found["keypoint_std"] > 0.5).all() and 1e3 * found["keypoint_std"].mean() < 20
     assert "total" in found["timing_names"].tolist() and (found["timings_ms"][:, -1] > 0).all()
 
 
@@ -87,6 +89,8 @@ def test_the_table_holds_the_same_numbers(run: Path) -> None:
         np.testing.assert_allclose(pose, found["pose"][place], rtol=1e-6, atol=1e-6)
         tip = [float(row[f"index_tip_{axis}_m"]) for axis in "xyz"]
         np.testing.assert_allclose(tip, found["keypoints"][place, 8], rtol=1e-5)
+        sigma = float(row["index_tip_std_m"])
+        assert sigma == pytest.approx(found["keypoint_std"][place, 8], rel=1e-5)
         assert float(row["depth_error_m"]) == pytest.approx(found["depth_error"][place], rel=1e-6)
         assert float(row["time_s"]) == pytest.approx(found["time"][place], abs=1e-6)
     assert np.degrees(np.abs(found["pose"][:, 7:])).max() < 150, "angles are in radians"

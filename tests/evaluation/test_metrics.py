@@ -10,6 +10,7 @@ from handtrack.evaluation.metrics import (
     MISSING_ERROR_MM,
     PHALANGES,
     SEGMENTS,
+    calibration,
     keypoint_errors,
     lost_rate,
     missing_frames,
@@ -145,3 +146,39 @@ def test_a_truth_that_is_not_finite_is_refused() -> None:
         phalanx_errors(np.zeros((3, 14, 3)), np.zeros((3, 14, 3)))
     with pytest.raises(InputError, match="njoint"):
         success_rate(np.zeros(4))
+
+
+def test_calibration_counts_visible_and_hidden_joints_apart() -> None:
+    errors = np.array([[1.0, 2.0, 3.0, 9.0], [0.5, 4.0, 4.1, 1.0]])
+    sigma = np.full(errors.shape, 2.0)
+    sigma[0, 3] = np.nan
+    visible = np.array([[1, 1, 0, 0], [1, 0, 0, np.nan]])
+    found = calibration(errors, sigma, visible)
+    # On the bound counts as within.
+    assert found["visible"] == {
+        "joints": 3, "within_1_sigma": 1.0, "within_2_sigma": 1.0, "median_sigma_mm": 2.0,
+        "median_error_mm": 1.0,
+    }  # fmt: skip
+    assert found["hidden"]["joints"] == 3
+    assert found["hidden"]["within_1_sigma"] == 0
+    assert found["hidden"]["within_2_sigma"] == pytest.approx(2 / 3)
+    # A joint of unknown visibility counts here alone, one without a deviation nowhere.
+    assert found["all"]["joints"] == 7
+    assert found["all"]["within_1_sigma"] == pytest.approx(4 / 7)
+    assert calibration(errors, sigma) == {"all": found["all"]}
+    assert calibration(errors, np.full(errors.shape, np.nan), visible) == {}
+
+
+def test_gaussian_errors_are_calibrated_as_the_docstring_says(rng: np.random.Generator) -> None:
+    for axes, one, two in ((1, 0.683, 0.954), (3, 0.608, 0.993)):
+        steps = rng.normal(size=(20000, 21, axes))
+        found = calibration(np.linalg.norm(steps, axis=-1), np.full((20000, 21), axes**0.5))
+        assert found["all"]["within_1_sigma"] == pytest.approx(one, abs=0.004)
+        assert found["all"]["within_2_sigma"] == pytest.approx(two, abs=0.004)
+
+
+def test_calibration_needs_equal_shapes() -> None:
+    with pytest.raises(InputError, match=r"\(3, 21\).*\(2, 21\)"):
+        calibration(np.zeros((3, 21)), np.zeros((2, 21)))
+    with pytest.raises(InputError, match=r"\(3, 20\)"):
+        calibration(np.zeros((3, 21)), np.zeros((3, 21)), np.zeros((3, 20)))

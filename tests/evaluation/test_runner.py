@@ -11,6 +11,7 @@ from handtrack.camera.frame import DepthFrame, FrameTruth
 from handtrack.errors import InputError
 from handtrack.evaluation.report import check_case
 from handtrack.evaluation.runner import Run, bench_case, join_runs, run_tracker
+from handtrack.fitting.uncertainty import CORRELATION_LENGTH, FLOOR, OUTLINE, FitInformation
 from handtrack.hand.kinematics import keypoints
 from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.tracking.result import HandResult, TrackState
@@ -21,6 +22,8 @@ from oracles.scenes import SMALL_CAMERA, hand_model, seen_poses, shaped_hand
 
 class ScriptedTracker:
     """Answers the depth image's first pixel with the pose of that number, and notes every reset."""
+
+    automatic = False
 
     def __init__(self, poses: np.ndarray, lost: frozenset[int] = frozenset()) -> None:
         self.poses, self.lost = poses, lost
@@ -79,6 +82,32 @@ def test_every_frame_is_tracked_once_and_takes_start_with_their_pose(
     assert all(stages == {"fit": 2.0} for stages in run.stages_ms)
 
 
+def test_a_tracker_that_finds_the_hand_by_itself_is_given_no_pose(poses: np.ndarray) -> None:
+    tracker = ScriptedTracker(poses)
+    tracker.automatic = True
+    run = run_tracker(tracker, labelled(poses), {2: poses[2], 4: poses[4]})  # type: ignore[arg-type]
+    assert tracker.calls == [None, 0, None, 0, None, 0, 1, 2, 3, 4, 5]
+    assert run.poses_given == 0 and bench_case(run, case="c", tracker="t")["poses_given"] == 0
+    told = run_tracker(ScriptedTracker(poses), labelled(poses), {2: poses[2]})  # type: ignore[arg-type]
+    assert told.poses_given == 1 and join_runs([told, run, told]).poses_given == 2
+
+
+def test_frames_without_memory_forget_everything_before_each(poses: np.ndarray) -> None:
+    tracker = ScriptedTracker(poses)
+    run_tracker(tracker, labelled(poses)[:3], {}, memory=False)  # type: ignore[arg-type]
+    assert tracker.calls == [None, 0, None, 0, None, None, 0, None, 1, None, 2]
+
+
+def test_only_tracking_and_recovered_poses_are_vouched_for(poses: np.ndarray) -> None:
+    run = run_tracker(
+        ScriptedTracker(poses, lost=frozenset({1})),  # type: ignore[arg-type]
+        labelled(poses)[:4],
+        {0: poses[0]},
+    )
+    states = (*run.states[:2], TrackState.RECOVERED, TrackState.LOST)
+    assert replace(run, states=states).sure.tolist() == [True, False, True, False]
+
+
 def test_lost_and_missing_frames_are_counted(poses: np.ndarray) -> None:
     wrong = poses.copy()
     wrong[1, 0] += 0.025  # every keypoint 25 mm off: lost
@@ -97,6 +126,48 @@ def test_lost_and_missing_frames_are_counted(poses: np.ndarray) -> None:
     assert case["states"] == {"tracking": 5, "recovered": 0, "lost": 0, "no_hand": 1}
     assert case["depth_error_mm"] == {"mean": pytest.approx(3.0), "median": pytest.approx(3.0)}
     assert np.isnan(run.depth_errors[5]) and run.frame_errors_mm[1] == pytest.approx(25, abs=1e-3)
+
+
+class FrankTracker(ScriptedTracker):
+    """Says of every frame but the lost ones how certain it is."""
+
+    def track(self, depth: np.ndarray) -> HandResult:
+        result = super().track(depth)
+        if result.state is TrackState.NO_HAND:
+            return result
+        knows = FitInformation(
+            hessian=1e6 * np.eye(27), unexplained=0.1, area=0.01, spacing=CORRELATION_LENGTH
+        )
+        return replace(result, information=knows)
+
+
+def test_stated_deviations_are_compared_with_the_errors(poses: np.ndarray) -> None:
+    # So much information leaves what all points share.
+    sigma = np.hypot(0.1**2 * 0.01 / OUTLINE, FLOOR)
+    wrong = poses.copy()
+    wrong[1, 0] += 1.5 * sigma
+    wrong[2, 1] += 2.5 * sigma
+    visible = np.ones((6, 21))
+    visible[:2, 3:5] = 0
+    visible[3] = np.nan
+    tracker = FrankTracker(wrong, lost=frozenset({5}))
+    run = run_tracker(tracker, labelled(poses), {}, visible=visible)  # type: ignore[arg-type]
+    np.testing.assert_allclose(run.deviations[:5], sigma, rtol=1e-3)
+    assert np.isnan(run.deviations[5]).all()
+    case = bench_case(run, case="c", tracker="t")
+    check_case(case)
+    found = case["calibration"]
+    assert found["all"]["joints"] == 5 * 21
+    assert found["all"]["within_1_sigma"] == pytest.approx(3 / 5)
+    assert found["all"]["within_2_sigma"] == pytest.approx(4 / 5)
+    assert found["hidden"]["joints"] == 4 and found["hidden"]["within_1_sigma"] == 0.5
+    assert found["visible"]["joints"] == 4 * 21 - 4
+    both = join_runs([run, run])
+    assert both.calibration["hidden"]["joints"] == 8
+    bare = run_tracker(tracker, labelled(poses, known=0), {})  # type: ignore[arg-type]
+    assert not bare.calibration and "calibration" not in bench_case(bare, case="c", tracker="t")
+    silent = run_tracker(ScriptedTracker(poses), labelled(poses), {})  # type: ignore[arg-type]
+    assert "calibration" not in bench_case(silent, case="c", tracker="t")
 
 
 def test_frames_without_truth_count_for_speed_alone(poses: np.ndarray) -> None:

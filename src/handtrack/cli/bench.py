@@ -27,8 +27,8 @@ class BenchOptions:
     forearm and noise, three subjects), single-frame (no memory: unseen subjects, any viewpoint),
     recovery (frames until tracking is back from a scrambled pose), scenes (people, a hand that
     leaves, a cup instead of a hand), speed (time per frame and stage by number of hypotheses),
-    ablation (every switch changed), real (labelled real images, --data); --sequence measures any
-    recorded sequence.
+    ablation (every switch changed), regression (the forest alone), real (labelled real images,
+    --data); --sequence measures any recorded sequence.
 
     Trackers that find the hand by themselves are never given a pose.
 
@@ -51,6 +51,7 @@ class BenchOptions:
             "scenes",
             "speed",
             "ablation",
+            "regression",
             "real",
             "sequence",
         ]

@@ -48,10 +48,6 @@ class FitConfig:
     wrist_cut: float = 0.0
     """Palm-frame x below which observed points are the forearm's [m]; 0 is the wrist joint."""
 
-    forearm_radius: float = 0.055
-    """Points behind the wrist and farther than this from the forearm's axis are held against the
-    pose in E_d [m]; without it a hand turned round would hide the true one behind its wrist."""
-
     iterations: int = 10
     """Gauss-Newton steps per frame."""
     point_weight: float = 1.0

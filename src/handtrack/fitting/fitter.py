@@ -376,8 +376,7 @@ class Fitter:
         score.score_depth(
             rows.row_hand, rows.keys, self.image.cells, self.image.points,
             rows.rotations, rows.origins, scale=config.score_scale, cap=config.score_cap,
-            wrist_x=config.wrist_cut, forearm_radius=config.forearm_radius,
-            forearms=rows.forearms, errors=rows.errors, counts=rows.counts,
+            wrist_x=config.wrist_cut, errors=rows.errors, counts=rows.counts,
         )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """How far the keypoints of a fitted pose may be off, from the fit's own normal equations.
 
-At the minimum of sum w r^2 the increment has the covariance s^2 H^-1, were the residuals independent
-with variance s^2 and the model exact. Neither holds, so three things differ here:
+Were the residuals independent, of variance s^2, and the model exact, then the increment would have
+the covariance s^2 H^-1. Neither holds, so three things differ here:
 
 * **Residual scale.** The robust residuals tell mostly the sensor's grain. What a wrong shape or a
   confused finger leaves is a rim that only one of model and image covers, and E_d counts that. With
@@ -28,13 +28,13 @@ from handtrack.hand.model import ShapedHand
 
 Float = NDArray[np.float64]
 
-OUTLINE = 0.103
+OUTLINE = 0.1
 """Length that turns the squared unexplained share of the area seen into a residual scale [m]."""
 
-CORRELATION_LENGTH = 0.013
+CORRELATION_LENGTH = 0.012
 """Side of the patch of surface whose points count as one [m]."""
 
-FLOOR = 0.0005
+FLOOR = 0.0008
 """Error of a keypoint that no image tells [m]: points are matched to vertices, not surfaces."""
 
 PALM_RANGE = (0.1, 1.0)

@@ -86,7 +86,6 @@ class RowArrays:
     step: wp.array
     sphere_centres: wp.array
     keys: wp.array
-    forearms: wp.array
     errors: wp.array
     counts: wp.array
 
@@ -137,7 +136,6 @@ class RowArrays:
             step=make(nrow, NV),
             sphere_centres=make(nrow, nsphere, dtype=wp.vec3),
             keys=make(nrow, pixels, pixels, dtype=wp.int64),
-            forearms=make(nrow, dtype=wp.vec3),
             errors=make(nrow),
             counts=make(nrow, dtype=int),
         )

@@ -157,7 +157,8 @@ class Cascade:
         """
         if self._presence is None:
             return np.ones(self.image_count)
-        return self._chances[self._regions.leaves.numpy()].mean(axis=1, dtype=np.float64)
+        leaves = np.array(self._regions.leaves.numpy(), np.int64)
+        return self._chances[leaves].mean(axis=1, dtype=np.float64)
 
     def run_fingers(self, poses: ArrayLike) -> NDArray[np.float64]:
         """Bend the fingers under given palms.

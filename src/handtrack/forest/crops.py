@@ -131,7 +131,8 @@ class Cropper:
         self.depth.assign(padded)
         self.place(places)
         self.launch()
-        return self.cells.numpy()[:count].copy(), self.crops.numpy()[:count, :4].copy()
+        cells, crops = self.cells.numpy()[:count], self.crops.numpy()[:count, :4]
+        return np.array(cells, np.float32), np.array(crops, np.float32)
 
 
 def prepare_crops(
@@ -281,11 +282,7 @@ def _write_shard(dataset: DatasetConfig, forest: ForestConfig, folder: Path, sta
         crops_of(cropper, batch.depth, batch.keypoints, batch.poses, batch.subject)
         for batch in made.batches(start, stop, size=_BATCH)
     ]  # fmt: skip
-    joined = {
-        f.name: np.concatenate([getattr(part, f.name) for part in parts])
-        for f in fields(TrainingCrops)
-    }  # fmt: skip
-    write_shard(shard_file(folder, start), TrainingCrops(**joined))
+    write_shard(shard_file(folder, start), join_crops(parts))
 
 
 def crops_of(
@@ -309,6 +306,14 @@ def crops_of(
         cells=encode_cells(cells), cameras=cameras,
         poses=poses.astype(np.float32), subjects=subjects.astype(np.int32),
     )  # fmt: skip
+
+
+def join_crops(parts: list[TrainingCrops]) -> TrainingCrops:
+    """Crops of all parts, in their order."""
+    names = [field.name for field in fields(TrainingCrops)]
+    return TrainingCrops(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    )
 
 
 def encode_cells(cells: NDArray[np.float32]) -> NDArray[np.uint16]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -124,7 +125,7 @@ def grow_tree(
     )  # fmt: skip
 
 
-def _put(values: NDArray, device: wp.Device) -> wp.array:
+def _put(values: NDArray, device: Any) -> wp.array:
     return wp.array(np.ascontiguousarray(values, np.int32), dtype=int, device=device)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from handtrack.forest.config import ForestConfig
 from handtrack.hand.kinematics import bone_frames, skin, skin_normals
@@ -78,7 +78,7 @@ def draw_points(
     ])  # fmt: skip
     if config.features == "pose-indexed":
         return np.full(config.points, -1, np.int32), points.astype(np.float32)
-    _, anchors = cKDTree(vertices[anchor_vertices]).query(points)
+    anchors = np.asarray(KDTree(vertices[anchor_vertices]).query(points)[1])
     offsets = points - vertices[anchor_vertices[anchors]]
     return anchors.astype(np.int32), offsets.astype(np.float32)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -47,7 +48,7 @@ class CropSource:
         return len(self.cells)
 
     @property
-    def device(self) -> wp.Device:
+    def device(self) -> Any:
         """Where the hands are."""
         return self.hands.palm_points.device
 

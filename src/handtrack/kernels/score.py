@@ -12,97 +12,17 @@ LANES = 64
 
 
 @wp.func
-def _forearm_sum(
-    cells_in: wp.array3d[float],
-    points_in: wp.array3d[wp.vec3],
-    rotations_in: wp.array2d[wp.mat33],
-    origins_in: wp.array2d[wp.vec3],
-    rowid: int,
-    hand: int,
-    scale: int,
-    wrist_x: float,
-    first: int,
-    step: int,
-) -> wp.vec3:
-    # Sum of the observed points behind the wrist, palm frame, over every step-th pixel.
-    n = cells_in.shape[2] // scale
-    total = wp.vec3(0.0)
-    rotation = wp.transpose(rotations_in[rowid, 0])
-    origin = origins_in[rowid, 0]
-    cell = first
-    while cell < n * n:
-        y = cell // n
-        x = cell % n
-        seen = cells_in[hand, y * scale, x * scale]
-        if seen > 0.0 and wp.isfinite(seen):
-            palm = rotation @ (points_in[hand, y * scale, x * scale] - origin)
-            if palm[0] < wrist_x:
-                total += palm
-        cell += step
-    return total
-
-
-@wp.kernel
-def _aim_forearms(
-    # in
-    row_hand_in: wp.array[int],
-    cells_in: wp.array3d[float],
-    points_in: wp.array3d[wp.vec3],
-    rotations_in: wp.array2d[wp.mat33],
-    origins_in: wp.array2d[wp.vec3],
-    scale: int,
-    wrist_x: float,
-    # out
-    forearms_out: wp.array[wp.vec3],
-):
-    """One row: direction from the wrist to the middle of what is seen behind it, palm frame."""
-    rowid = wp.tid()
-    forearms_out[rowid] = wp.normalize(
-        _forearm_sum(
-            cells_in, points_in, rotations_in, origins_in, rowid, row_hand_in[rowid], scale,
-            wrist_x, 0, 1,
-        )
-    )  # fmt: skip
-
-
-@wp.kernel
-def _aim_forearms_tiled(
-    # in
-    row_hand_in: wp.array[int],
-    cells_in: wp.array3d[float],
-    points_in: wp.array3d[wp.vec3],
-    rotations_in: wp.array2d[wp.mat33],
-    origins_in: wp.array2d[wp.vec3],
-    scale: int,
-    wrist_x: float,
-    # out
-    forearms_out: wp.array[wp.vec3],
-):
-    """One row, a block of threads each: the same, lanes summed in a fixed order."""
-    rowid, lane = wp.tid()
-    part = _forearm_sum(
-        cells_in, points_in, rotations_in, origins_in, rowid, row_hand_in[rowid], scale, wrist_x,
-        lane, wp.block_dim(),
-    )  # fmt: skip
-    totals = wp.tile_sum(wp.tile(part, preserve_type=True))
-    if lane == 0:
-        forearms_out[rowid] = wp.normalize(totals[0])
-
-
-@wp.func
 def _error_sums(
     keys_in: wp.array3d[wp.int64],
     cells_in: wp.array3d[float],
     points_in: wp.array3d[wp.vec3],
     rotations_in: wp.array2d[wp.mat33],
     origins_in: wp.array2d[wp.vec3],
-    forearms_in: wp.array[wp.vec3],
     rowid: int,
     hand: int,
     scale: int,
     cap: float,
     wrist_x: float,
-    forearm_radius: float,
     first: int,
     step: int,
 ):
@@ -119,16 +39,12 @@ def _error_sums(
         key = keys_in[rowid, y, x]
         drawn = key != wp.int64(EMPTY)
         seen = cells_in[hand, y * scale, x * scale]
-        # Unknown cells say nothing; points behind the wrist are the forearm, drawn or not, unless
-        # they are too far from its axis for an arm.
+        # Unknown cells say nothing; points behind the wrist are the forearm, drawn or not.
         if wp.isfinite(seen):
             is_hand = drawn
             if seen > 0.0:
                 palm = rotation @ (points_in[hand, y * scale, x * scale] - origin)
                 is_hand = palm[0] >= wrist_x
-                if not is_hand:
-                    off = wp.cross(palm, forearms_in[rowid])
-                    is_hand = wp.length_sq(off) > forearm_radius * forearm_radius
             if is_hand:
                 difference = float(cap)
                 if drawn and seen > 0.0:
@@ -148,11 +64,9 @@ def _score_depth(
     points_in: wp.array3d[wp.vec3],
     rotations_in: wp.array2d[wp.mat33],
     origins_in: wp.array2d[wp.vec3],
-    forearms_in: wp.array[wp.vec3],
     scale: int,
     cap: float,
     wrist_x: float,
-    forearm_radius: float,
     # out
     errors_out: wp.array[float],
     counts_out: wp.array[int],
@@ -160,8 +74,8 @@ def _score_depth(
     """One row: mean capped depth difference over the union of rendered and observed hand pixels."""
     rowid = wp.tid()
     total, count = _error_sums(
-        keys_in, cells_in, points_in, rotations_in, origins_in, forearms_in, rowid,
-        row_hand_in[rowid], scale, cap, wrist_x, forearm_radius, 0, 1,
+        keys_in, cells_in, points_in, rotations_in, origins_in, rowid, row_hand_in[rowid],
+        scale, cap, wrist_x, 0, 1,
     )  # fmt: skip
     counts_out[rowid] = count
     errors_out[rowid] = wp.where(count > 0, total / float(wp.max(count, 1)), cap)
@@ -176,11 +90,9 @@ def _score_depth_tiled(
     points_in: wp.array3d[wp.vec3],
     rotations_in: wp.array2d[wp.mat33],
     origins_in: wp.array2d[wp.vec3],
-    forearms_in: wp.array[wp.vec3],
     scale: int,
     cap: float,
     wrist_x: float,
-    forearm_radius: float,
     # out
     errors_out: wp.array[float],
     counts_out: wp.array[int],
@@ -188,8 +100,8 @@ def _score_depth_tiled(
     """One row, a block of threads each: the same, lanes summed in a fixed order."""
     rowid, lane = wp.tid()
     total, count = _error_sums(
-        keys_in, cells_in, points_in, rotations_in, origins_in, forearms_in, rowid,
-        row_hand_in[rowid], scale, cap, wrist_x, forearm_radius, lane, wp.block_dim(),
+        keys_in, cells_in, points_in, rotations_in, origins_in, rowid, row_hand_in[rowid],
+        scale, cap, wrist_x, lane, wp.block_dim(),
     )  # fmt: skip
     totals = wp.tile_sum(wp.tile(total))
     counts = wp.tile_sum(wp.tile(count))
@@ -229,8 +141,6 @@ def score_depth(
     scale: int,
     cap: float,
     wrist_x: float,
-    forearm_radius: float,
-    forearms: wp.array,
     errors: wp.array,
     counts: wp.array,
 ) -> None:
@@ -245,27 +155,12 @@ def score_depth(
         origins: Bone origins [m], shape (nrow, nbone) vec3.
         scale: Cells per rendered pixel, along each side.
         cap: Largest difference counted for one pixel [m].
-        wrist_x: Observed points behind this palm-frame x belong to the forearm [m], when
-        forearm_radius: they are no farther than this from its axis [m]; otherwise they are part of
-            the hand that the pose leaves unexplained.
-        forearms: Scratch: direction of the forearm, palm frame, shape (nrow,) vec3.
+        wrist_x: Observed points behind this palm-frame x belong to the forearm [m].
         errors: Out: E_d [m], shape (nrow,).
         counts: Out: pixels of the union, shape (nrow,).
     """
-    aim = [row_hand, cells, points, rotations, origins, scale, wrist_x]
-    inputs = [
-        row_hand, keys, cells, points, rotations, origins, forearms, scale, cap, wrist_x,
-        forearm_radius,
-    ]  # fmt: skip
+    inputs = [row_hand, keys, cells, points, rotations, origins, scale, cap, wrist_x]
     if errors.device.is_cuda:
-        wp.launch_tiled(
-            _aim_forearms_tiled,
-            dim=errors.shape,
-            inputs=aim,
-            outputs=[forearms],
-            block_dim=LANES,
-            device=errors.device,
-        )
         wp.launch_tiled(
             _score_depth_tiled,
             dim=errors.shape,
@@ -276,13 +171,6 @@ def score_depth(
         )
     else:
         # Tiles on the CPU share one static buffer, which two host threads would both write.
-        wp.launch(
-            _aim_forearms,
-            dim=errors.shape,
-            inputs=aim,
-            outputs=[forearms],
-            device=errors.device,
-        )
         wp.launch(
             _score_depth,
             dim=errors.shape,

@@ -124,6 +124,14 @@ class TrackerDiscriminative:
         spent = 1e3 * (time.perf_counter() - begin)
         return Estimate(pose=pose, depth_error=error, found=found, timings={"regress": spent})
 
+    def find_all(self, depths: NDArray[np.float32]) -> list[Estimate]:
+        """The hand in independent frames; see `Finder`."""
+        estimates = []
+        for depth in depths:
+            self.forget()
+            estimates.append(self.step(depth))
+        return estimates
+
     def _regress(
         self, depth: NDArray[np.float32], centre: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], float]:

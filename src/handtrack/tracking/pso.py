@@ -94,7 +94,7 @@ class PsoConfig:
 
     @property
     def constriction(self) -> float:
-        """Clerc and Kennedy's w (2002): share of the velocity that is kept, so that it decays."""
+        """Clerc and Kennedy's w (2002): factor of every new velocity, so that the swarm settles."""
         psi = self.cognitive + self.social
         return 2.0 / abs(2.0 - psi - np.sqrt(psi**2 - 4.0 * psi))
 

@@ -33,6 +33,10 @@ PERIOD, CALM_PERIOD = 3, 15
 SETTLED = 0.006
 """A change below this says that the size has settled."""
 
+USUAL_SPREAD, UNUSUAL_COST = 0.06, 0.0012
+"""Deviation of hand sizes among people, and what one deviation costs beside the depth error [m];
+a thin hand looks like a small one, and this keeps the size from making up for flesh."""
+
 Float = NDArray[np.float64]
 
 
@@ -106,7 +110,7 @@ class SizeProbe:
         return self.size != before
 
     def _compare(self, depth: NDArray[np.float32], pose: Float, step: float) -> Float:
-        """Depth errors of a smaller, the same and a larger hand [m], shape (3,)."""
+        """Costs of a smaller, the same and a larger hand [m], shape (3,)."""
         sizes = self.size * np.array([1.0 - step, 1.0, 1.0 + step])
         hands = [self._hand.scaled(size) for size in sizes]
         self._fitter.hand.resize(hands)  # spheres hardly matter in four iterations
@@ -114,7 +118,8 @@ class SizeProbe:
         self._fitter.place(np.tile(keypoints(hands[1], pose).mean(axis=0), (3, 1)))
         self._fitter.set_poses(np.tile(pose, (3, 1)))
         self._fitter.run()
-        return self._fitter.errors.astype(np.float64)
+        unusual = ((sizes - 1.0) / USUAL_SPREAD) ** 2
+        return self._fitter.errors.astype(np.float64) + 0.5 * UNUSUAL_COST * unusual
 
     def _follow(self, errors: Float, step: float) -> None:
         """Go to the lowest point of the parabola through three errors, one step at most."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,19 @@ class Stepper(Protocol):
         Args:
             depth: Clean depth image [m], shape (height, width).
             fallback: After a loss, the last pose that explained a frame, shape (28,).
+        """
+        ...
+
+
+@runtime_checkable
+class Finder(Protocol):
+    """A method that finds hands in frames without memory."""
+
+    def find_all(self, depths: NDArray[np.float32]) -> list[Estimate]:
+        """The hand in independent frames.
+
+        Args:
+            depths: Clean depth [m], shape (n, height, width).
         """
         ...
 

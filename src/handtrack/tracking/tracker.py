@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from handtrack.tracking.hybrid import THESIS_HYBRID, HybridConfig
 from handtrack.tracking.model_based import THESIS_TRACKER, ModelBasedConfig
 from handtrack.tracking.pso import PsoConfig
 from handtrack.tracking.result import HandResult, TrackState
-from handtrack.tracking.stepper import TrackerConfig
+from handtrack.tracking.stepper import Estimate, Finder, TrackerConfig
 
 FORGET_FRAMES = 10
 """So many frames in a row without the hand, and it is gone: NO_HAND rather than LOST."""
@@ -137,8 +138,47 @@ class HandTracker:
             return self._result(
                 estimate.pose, estimate.depth_error, None, timings, estimate.information
             )
-        why = estimate.problem or "the hand explains the image too badly"
-        return self._missed(estimate.depth_error, why, timings)
+        return self._missed(estimate.depth_error, _problem(estimate), timings)
+
+    def track_batch(self, depths: Iterable[Any]) -> list[HandResult]:
+        """Find the hand in independent frames: no memory is used, and none is kept.
+
+        Args:
+            depths: Depth images as for `track`, shape (n, height, width), or a list of them.
+
+        Returns:
+            One result per frame: TRACKING, or NO_HAND with a `problem`.
+
+        Raises:
+            InputError: The tracker cannot find hands by itself.
+        """
+        if not isinstance(self._tracker, Finder):
+            raise InputError(
+                "this tracker needs a first pose; track_batch works with tracker='hybrid'"
+            )
+        checked = [check_depth(depth, self.camera) for depth in depths]
+        good = [place for place, (_, problem) in enumerate(checked) if problem is None]
+        found: dict[int, Estimate] = {}
+        if good:
+            estimates = self._tracker.find_all(np.stack([checked[place][0] for place in good]))
+            found = dict(zip(good, estimates, strict=True))
+        self._forget(None)
+        return [
+            self._alone(found.get(place), problem) for place, (_, problem) in enumerate(checked)
+        ]
+
+    def _alone(self, estimate: Estimate | None, problem: str | None) -> HandResult:
+        """The result of a frame that stands alone."""
+        if estimate is None or not estimate.found or estimate.pose is None:
+            return HandResult(
+                state=TrackState.NO_HAND, side=self.side, pose=np.full(NQ, np.nan),
+                depth_error=np.nan, hand=self.hand, problem=problem or _problem(estimate),
+            )  # fmt: skip
+        return HandResult(
+            state=TrackState.TRACKING, side=self.side, pose=estimate.pose.copy(),
+            depth_error=estimate.depth_error, hand=estimate.hand or self.hand,
+            information=estimate.information,
+        )  # fmt: skip
 
     def _forget(self, good: NDArray[np.float64] | None) -> None:
         """Start anew, from a pose or from nothing."""
@@ -164,6 +204,12 @@ class HandTracker:
             state=self._state, side=self.side, pose=pose.copy(), depth_error=float(error),
             hand=self.hand, problem=problem, timings=timings, information=information,
         )  # fmt: skip
+
+
+def _problem(estimate: Estimate | None) -> str:
+    """Why an estimate is no result."""
+    told = estimate.problem if estimate is not None else None
+    return told or "the hand explains the image too badly"
 
 
 def _check_pose(pose: ArrayLike) -> NDArray[np.float64]:

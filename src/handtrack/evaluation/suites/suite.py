@@ -28,6 +28,7 @@ SUITES: dict[str, str] = {
     "recovery": "the tracked pose is scrambled: how many frames until tracking is back",
     "scenes": "whole scenes: nobody, people, a hand that leaves, a cup, things held in front",
     "speed": "time per frame and stage for 1 to 64 hypotheses, start-up",
+    "regression": "the forest alone: features and structures, cross-validated over subjects",
     "ablation": "the tracker with every switch changed, one after the other",
     "real": "real images with labelled joints or fingertips (needs --data)",
     "sequence": "any recorded sequence (needs --sequence)",
