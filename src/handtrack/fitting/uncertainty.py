@@ -31,7 +31,7 @@ Float = NDArray[np.float64]
 OUTLINE = 0.1
 """Length that turns the squared unexplained share of the area seen into a residual scale [m]."""
 
-CORRELATION_LENGTH = 0.012
+CORRELATION_LENGTH = 0.0115
 """Side of the patch of surface whose points count as one [m]."""
 
 FLOOR = 0.0008

@@ -5,6 +5,9 @@ from __future__ import annotations
 LEVEL_RATE = 0.05
 """Share of a frame's depth error in its running level: about 20 frames of memory."""
 
+YOUNG, YOUNG_PERIOD = 15, 3
+"""For so many frames a new track is doubted so often: first poses are the least certain."""
+
 
 class Doubt:
     """Watches the depth error over frames."""
@@ -22,8 +25,17 @@ class Doubt:
 
     def forget(self) -> None:
         """Start anew."""
+        self._since, self._age, self._explained = 0, 0, False
+        self.forget_level()
+
+    def forget_level(self) -> None:
+        """Compare errors anew, after a change that moves them all."""
         self._level: float | None = None
-        self._since = 0
+
+    @property
+    def young(self) -> bool:
+        """Whether the track is new and has not explained a frame well yet."""
+        return not self._explained and self._age <= YOUNG
 
     def arises(self, error: float) -> bool:
         """Whether the pose of this frame is to be doubted; once per frame.
@@ -31,10 +43,13 @@ class Doubt:
         The first high error counts as a jump.
         """
         self._since += 1
+        self._age += 1
         if error <= self._error:
+            self._explained = True
             return False
         jumped = self._level is None or error > self._jump * self._level
-        if not jumped and self._since < self._period:
+        period = min(self._period, YOUNG_PERIOD) if self.young else self._period
+        if not jumped and self._since < period:
             return False
         self._since = 0
         return True

@@ -62,7 +62,7 @@ class HybridConfig:
     """Candidates that are fitted to the end."""
     scene: SearchConfig = field(default_factory=SearchConfig)
     """The search of whole scenes when the hand is lost."""
-    presence_weight: float = 0.03
+    presence_weight: float = 0.08
     """Cost of a candidate in a place that the forest takes for no hand [m]."""
     adapt_size: bool = True
     """Find the overall size of a hand whose shape was not given."""
@@ -78,8 +78,10 @@ class HybridConfig:
     """lambda_2 of Eq. II.20: cost [m] of a squared change of pose by one radian or decimetre."""
     seek_error: float = 0.012
     """Depth error above which the whole scene is searched too [m]."""
-    accept_error: float = 0.012
+    accept_error: float = 0.014
     """Depth error below which a hand counts as found where there was none [m]."""
+    accept_presence: float = 0.25
+    """Chance that its place must have to hold a hand, by forest and segmentation."""
     lost_error: float = 0.016
     """tau of Eq. II.19: depth error above which the hand counts as lost [m]."""
 
@@ -208,7 +210,7 @@ class TrackerHybrid:
         for part in (self._near, self._final, self._scene):
             part.resize(self._hand)
         # Depth errors of another size do not compare.
-        self._doubt.forget()
+        self._doubt.forget_level()
 
     def step(self, depth: NDArray[np.float32], *, fallback: Float | None = None) -> Estimate:
         """Find the hand in the next frame; see `Stepper`."""
@@ -234,27 +236,34 @@ class TrackerHybrid:
                 changed = not doubted and self._probe.watch(depth, found.pose)
             if changed:
                 self._resize()
-                found = self._fit(depth, np.stack([found.pose] * self._follower.nrow))
+                again = self._fit(depth, np.stack([found.pose] * self._follower.nrow))
+                found = replace(again, presence=found.presence)
             clock.lap("size")
-        limit = config.accept_error if first_sight else config.lost_error
-        estimate = self._judged(found, limit, clock.spans)
+        estimate = self._judged(found, first_sight, clock.spans)
         self._motion = np.zeros(NV)
         if found is not None:
             if self._sure and self._pose is not None:
                 self._motion = pose_difference(found.pose, self._pose)
             self._doubt.remember(found.error)
+            if first_sight:
+                self._doubt.forget()
         self._pose, self._sure = estimate.pose, estimate.found
         return estimate
 
-    def _judged(self, found: Found | None, limit: float, timings: dict[str, float]) -> Estimate:
-        """Whether a pose explains its frame (Eq. II.19)."""
+    def _judged(
+        self, found: Found | None, first_sight: bool, timings: dict[str, float]
+    ) -> Estimate:
+        """Whether a pose explains its frame (Eq. II.19); at first sight more is asked of it."""
         if found is None:
             return Estimate(
                 pose=None, depth_error=np.nan, found=False, timings=timings,
                 problem="nothing in view has the size of a hand",
             )  # fmt: skip
+        config = self.config
+        sure = found.error < (config.accept_error if first_sight else config.lost_error)
+        sure = sure and (not first_sight or found.presence >= config.accept_presence)
         return Estimate(
-            pose=found.pose, depth_error=found.error, found=found.error < limit,
+            pose=found.pose, depth_error=found.error, found=sure,
             information=found.information, hand=self._hand, timings=timings,
         )  # fmt: skip
 
@@ -319,7 +328,7 @@ class TrackerHybrid:
             count = min(BATCH, len(depths) - first)
             part[:count] = depths[first : first + count]
             found = self._batch.run(part, self._costs, self._rng)[:count]
-            estimates += [self._judged(one, self.config.accept_error, {}) for one in found]
+            estimates += [self._judged(one, True, {}) for one in found]
         return estimates
 
     def _costs(self, candidates: Candidates) -> Float:
@@ -347,8 +356,8 @@ class TrackerHybrid:
         )  # fmt: skip
 
     def _cost(self, pose: Float, error: float) -> float:
-        """E_c of Eq. II.20 [m]; the temporal term counts only after a frame that was tracked."""
-        if not self._sure or self._pose is None:
+        """E_c of Eq. II.20 [m]; the temporal term counts only where tracking can be trusted."""
+        if not self._sure or self._pose is None or self._doubt.young:
             return error
         change = pose_difference(pose, self._pose)
         change[:3] *= 10.0  # in decimetres

@@ -51,11 +51,11 @@ class SearchConfig:
 
     regions: int = 3
     """Places of the scene that are searched."""
-    rounds: int = 3
+    rounds: int = 5
     """Rounds of restarts around the best candidates."""
-    rows: int = 16
+    rows: int = 24
     """Poses refined per round."""
-    elites: int = 4
+    elites: int = 6
     """Candidates that each round starts from."""
 
 

@@ -24,18 +24,18 @@ SMALLEST, LARGEST = 0.75, 1.3
 WIDE, NARROW = 0.06, 0.03
 """Steps up and down that are compared: at first sight, and while tracking."""
 
-LOOKS = 6
+LOOKS = 4
 """Frames whose errors are averaged before the size follows."""
 
-PERIOD, CALM_PERIOD = 3, 15
+PERIOD, CALM_PERIOD = 2, 15
 """Frames from one look to the next: until the size has settled, and then."""
 
 SETTLED = 0.006
 """A change below this says that the size has settled."""
 
-USUAL_SPREAD, UNUSUAL_COST = 0.06, 0.0012
-"""Deviation of hand sizes among people, and what one deviation costs beside the depth error [m];
-a thin hand looks like a small one, and this keeps the size from making up for flesh."""
+USUAL_SPREAD, UNUSUAL_COST = 0.06, 0.002
+"""Deviation of hand sizes among people, and the scale of what unusual ones cost beside the depth
+error [m]; a thin hand looks like a small one, and this keeps the size from making up for flesh."""
 
 Float = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ class SizeProbe:
             Whether the size has changed.
         """
         before = self.size
-        for step in (WIDE, WIDE, NARROW):
+        for step in (WIDE, WIDE, WIDE, WIDE, NARROW):
             self._follow(self._compare(depth, pose, step), step)
         self._begin_looks()
         return self.size != before
@@ -118,8 +118,9 @@ class SizeProbe:
         self._fitter.place(np.tile(keypoints(hands[1], pose).mean(axis=0), (3, 1)))
         self._fitter.set_poses(np.tile(pose, (3, 1)))
         self._fitter.run()
-        unusual = ((sizes - 1.0) / USUAL_SPREAD) ** 2
-        return self._fitter.errors.astype(np.float64) + 0.5 * UNUSUAL_COST * unusual
+        # Heavy-tailed: children and very large hands are rare, not impossible.
+        unusual = np.log1p(0.5 * ((sizes - 1.0) / USUAL_SPREAD) ** 2)
+        return self._fitter.errors.astype(np.float64) + UNUSUAL_COST * unusual
 
     def _follow(self, errors: Float, step: float) -> None:
         """Go to the lowest point of the parabola through three errors, one step at most."""

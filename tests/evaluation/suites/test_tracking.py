@@ -112,11 +112,13 @@ def test_targets_go_with_tracker_and_shape() -> None:
 
 
 def test_stated_deviations_are_judged_for_joints_in_sight_and_hidden_apart(
-    data: dict[str, Any], quick: SuiteSettings, subject: SubjectFrames
+    data: dict[str, Any], quick: SuiteSettings
 ) -> None:
+    # The hand is closing: fingers behind others.
+    part = data | {"quick": {"subjects": [100], "strides": [1], "frames": [576, 584]}}
     settings = replace(quick, trackers=("model_based",), shape="given")
-    result = tracking_suite(settings, data)
+    result = tracking_suite(settings, part)
     found = {case["case"]: case["calibration"] for case in result.cases}["all/stride-1"]
-    seen = int(subject.visible.sum())
-    assert found["visible"]["joints"] == seen and 0 < found["hidden"]["joints"] == 210 - seen
+    assert found["hidden"]["joints"] + found["visible"]["joints"] == found["all"]["joints"] == 168
+    assert 20 < found["hidden"]["joints"] < 100
     assert found["all"]["within_1_sigma"] > 0.3 and found["all"]["within_2_sigma"] > 0.6
