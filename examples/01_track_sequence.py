@@ -11,7 +11,6 @@ def main(frames: int | None = None) -> float:
     errors = []
     with ht.open_sequence(artifact_path("data/demo.npz")) as sequence:
         tracker = ht.HandTracker(sequence.camera, side="right", shape=sequence.subject)
-        tracker.reset(sequence[0].truth.pose)
         for frame in sequence:
             if frames is not None and frame.index >= frames:
                 break

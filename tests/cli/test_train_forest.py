@@ -16,7 +16,16 @@ from handtrack.synthesis.dataset import DatasetConfig
 
 TINY = TrainingConfig(
     forest=ForestConfig(
-        stages=1, trees=2, depth=3, min_leaf=2, points=20, candidates=10, modes=2, crop_cells=32
+        stages=1,
+        trees=2,
+        depth=3,
+        min_leaf=2,
+        points=20,
+        candidates=10,
+        modes=2,
+        crop_cells=32,
+        presence_trees=2,
+        presence_candidates=10,
     ),
     dataset=DatasetConfig(subjects=1, poses=3, viewpoints=4),
     scenes=DatasetConfig(subjects=1, poses=3, viewpoints=4, seed=1000),

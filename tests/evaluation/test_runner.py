@@ -217,7 +217,7 @@ def test_a_real_tracker_follows_a_moving_hand(device: str, rng: np.random.Genera
     frames = [
         replace(frame, depth=depth) for frame, depth in zip(labelled(path), depths, strict=True)
     ]
-    tracker = HandTracker(SMALL_CAMERA, device=device, model=hand_model())
+    tracker = HandTracker(SMALL_CAMERA, device=device, tracker="model_based", model=hand_model())
     run = run_tracker(tracker, frames, {0: start})
     assert run.errors_mm.mean() < 4.0
     assert all(state is TrackState.TRACKING for state in run.states)

@@ -22,13 +22,14 @@ from handtrack.synthesis.viewpoints import palm_centre
 
 TINY = TrainingConfig(
     forest=ForestConfig(
-        stages=2, trees=3, depth=7, min_leaf=3, points=48, candidates=48, modes=4
+        stages=2, trees=3, depth=7, min_leaf=2, bag=0.8, points=48, candidates=48, modes=4,
+        presence_trees=3, presence_candidates=48,
     ),
     dataset=DatasetConfig(
         subjects=2, poses=12, viewpoints=5, noises=("none",), occluder_share=0.0, body_share=0.0,
         distance=(0.35, 0.5),
     ),
-    centre_spread=0.01, forearm_shift=0.03,
+    centre_spread=0.01, forearm_shift=0.03, palm_spread=0.002, palm_turn=0.03,
 )  # fmt: skip
 """120 clean frames, 36 trees and a presence; some tenths of a second."""
 
@@ -65,15 +66,18 @@ def frames() -> Frames:
 
 
 @pytest.fixture(scope="session")
-def walls(frames: Frames) -> RegionCrops:
-    """Regions without a hand: walls at the frames' distances."""
+def regions(frames: Frames) -> RegionCrops:
+    """The frames' hands, and walls at their distances."""
     distance = frames.centres[:, 2]
-    cells = np.broadcast_to((distance / DEPTH_UNIT)[:, None, None], frames.crops.cells.shape)
+    walls = np.broadcast_to((distance / DEPTH_UNIT)[:, None, None], frames.crops.cells.shape)
     count = len(frames.crops)
+    twice = [np.concatenate([values, values]) for values in (
+        frames.crops.cameras, frames.centres.astype(np.float32), frames.batch.keypoints[:, 0]
+    )]  # fmt: skip
     return RegionCrops(
-        cells=np.rint(cells).astype(np.uint16), cameras=frames.crops.cameras,
-        centres=frames.centres.astype(np.float32), is_hand=np.zeros(count, bool),
-        frames=np.arange(count, dtype=np.int32),
+        cells=np.concatenate([frames.crops.cells, np.rint(walls).astype(np.uint16)]),
+        cameras=twice[0], centres=twice[1], wrists=twice[2],
+        is_hand=np.repeat([True, False], count), frames=np.arange(2 * count, dtype=np.int32),
     )  # fmt: skip
 
 
@@ -114,10 +118,10 @@ class Learnt:
 
 
 @pytest.fixture(scope="session")
-def tiny(train, walls: RegionCrops, tmp_path_factory: pytest.TempPathFactory) -> Learnt:
-    """A forest learnt from the frames and walls; its trees are kept in a folder."""
+def tiny(train, regions: RegionCrops, tmp_path_factory: pytest.TempPathFactory) -> Learnt:
+    """A forest learnt from the frames and regions; its trees are kept in a folder."""
     work, reports = tmp_path_factory.mktemp("trees"), []
-    forest = train(work, regions=walls, report=lambda *told: reports.append(told))
+    forest = train(work, regions=regions, report=lambda *told: reports.append(told))
     return Learnt(forest=forest, work=work, reports=reports)
 
 

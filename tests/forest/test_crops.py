@@ -208,6 +208,7 @@ def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
         load_crops(tmp_path)
 
 
+@pytest.mark.slow
 def test_other_processes_make_the_same(tmp_path: Path) -> None:
     assert make(tmp_path / "two", jobs=2) == [(0, 10), (10, 10)]
     make(tmp_path / "one")

@@ -42,12 +42,11 @@ class Toy:
         return Samples.of(wp.array(self.values, dtype=wp.int16, device=device), self.targets)
 
     def leaves(self, tree: ForestStage, rows: NDArray) -> NDArray[np.int64]:
-        depths = self.values.astype(np.float64) * VALUE_STEP
+        # In whole steps, as trees grow: equal numbers are equal.
+        steps, limits = self.values.astype(int), np.rint(tree.thresholds / VALUE_STEP)
+        root = int(tree.roots[0])
         return np.array([
-            leaf_of(
-                int(tree.roots[0]), tree.node_points, tree.thresholds, tree.children, depths[:, row]
-            )
-            for row in rows
+            leaf_of(root, tree.node_points, limits, tree.children, steps[:, row]) for row in rows
         ])  # fmt: skip
 
 
@@ -76,6 +75,8 @@ def test_a_tree_finds_the_split_that_explains_all(device, rng) -> None:
         np.testing.assert_allclose(tree.updates[leaf, 0], toy.targets[mine].mean(axis=0), atol=1e-7)
     np.testing.assert_array_equal(tree.tree_parts, [3])
     np.testing.assert_array_equal(tree.leaf_weights, 1.0)
+    kinds = {field.name: getattr(tree, field.name).dtype for field in fields(ForestStage)}
+    assert set(kinds.values()) == {np.dtype(np.int32), np.dtype(np.float32)}, kinds
 
 
 def test_the_best_split_is_found_on_a_part_of_the_samples(device, rng) -> None:
@@ -109,7 +110,6 @@ def test_leaves_are_large_enough_and_trees_not_too_deep(device, rng, min_leaf, d
     )  # fmt: skip
     assert np.bincount(toy.leaves(tree, bag), minlength=len(tree.updates)).min() >= min_leaf
     assert depth_of(tree) <= depth
-    assert depth_of(tree) == min(depth, 2 if min_leaf == 60 else depth) or min_leaf == 60
     inner = tree.children >= 0
     assert (tree.children[inner] > np.flatnonzero(inner)).all()
     assert inner.sum() + 1 == len(tree.updates)

@@ -21,7 +21,7 @@ TOLERANCE = 1e-6
 REACHED = 1e-4
 """Joints of a target that a finger can reach are this close after many steps [m]."""
 
-NEARLY_REACHED = 1.5e-3
+NEARLY_REACHED = 3e-3
 """The same after the cascade's few steps, in most cases [m]."""
 
 

@@ -328,12 +328,14 @@ def test_a_hand_held_upright_starts_upright(device, rng) -> None:
     np.testing.assert_allclose(np.abs(rotations[:, 2, 1]), 1.0, atol=0.01)
 
 
-def test_a_mirrored_image_gives_the_same_starts_in_the_mirror(device, rng) -> None:
+@pytest.mark.parametrize("stride", [1, 2, 3])
+def test_a_mirrored_image_gives_the_same_starts_in_the_mirror(device, rng, stride) -> None:
     scene = StartScene.random(rng)
     cameras = scene.cameras.copy()
     cameras[:, 2] = scene.cells.shape[2] - 1 - cameras[:, 2]
-    poses = scene.starts(device)
-    mirrored = scene.changed(cells=scene.cells[:, :, ::-1], cameras=cameras).starts(device, -1.0)
+    poses = scene.starts(device, 1.0, stride)
+    flipped = scene.changed(cells=scene.cells[:, :, ::-1], cameras=cameras)
+    mirrored = flipped.starts(device, -1.0, stride)
     for one, other in zip(poses, mirrored, strict=True):
         palms = list(zip(quat_to_matrix(one[:, 3:7]), one[:, :3], strict=True))
         assert_same_palms(other, palms)

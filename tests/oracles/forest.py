@@ -71,9 +71,14 @@ def depth_value(
 
 
 def gated_points(cells: Float, camera: Float, gate: Float, mirror: float, stride: int) -> Float:
-    """All points of the hand in every stride-th row and column [m], shape (n, 3)."""
-    grid = np.ndindex(*(size // stride for size in cells.shape))
-    seen = [seen_point(cells, camera, gate, mirror, stride * r, stride * c)[0] for r, c in grid]
+    """All points of the hand in every stride-th row and column [m], shape (n, 3).
+
+    Columns are counted from the left of what is looked at: of the mirrored image in a mirror.
+    """
+    rows, columns = (np.arange(size // stride) * stride for size in cells.shape)
+    columns = columns if mirror > 0 else cells.shape[1] - 1 - columns
+    grid = [(row, column) for row in rows for column in columns]
+    seen = [seen_point(cells, camera, gate, mirror, row, column)[0] for row, column in grid]
     return np.array([point for point in seen if point is not None]).reshape(-1, 3)
 
 

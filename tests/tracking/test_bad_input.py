@@ -38,7 +38,7 @@ def frames(side: str = "right") -> list[DepthFrame]:
 @cache
 def tracker(side: str = "right") -> HandTracker:
     """One tracker for all tests of a side; `reset` forgets the past."""
-    return HandTracker(CAMERA, side=side, device="cpu")
+    return HandTracker(CAMERA, side=side, device="cpu", tracker="model_based")
 
 
 def first_pose(side: str = "right") -> np.ndarray:

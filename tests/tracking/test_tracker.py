@@ -53,7 +53,7 @@ def errors_mm(results: list[HandResult], frames: list[DepthFrame]) -> np.ndarray
 def test_a_moving_hand_is_followed(device: str, side: str) -> None:
     frames = sequence(side, seed=3)
     shape = hand_model().sample_shape(np.random.default_rng(3))
-    track = HandTracker(CAMERA, side=side, shape=shape, device=device)
+    track = HandTracker(CAMERA, side=side, shape=shape, device=device, tracker="model_based")
     results = follow(track, frames)
     assert all(result.state is TrackState.TRACKING for result in results)
     errors = errors_mm(results, frames)
@@ -67,8 +67,8 @@ def test_a_left_hand_is_followed_as_its_mirror_image() -> None:
     frames = sequence(count=12, noise=NONE)
     # Random restarts are drawn for either hand alike, not for its mirror image.
     config = ModelBasedConfig(rescue_rows=0)
-    right = follow(HandTracker(CAMERA, config=config, device="cpu"), frames)
-    track = HandTracker(CAMERA, side="left", config=config, device="cpu")
+    right = follow(HandTracker(CAMERA, config=config, device="cpu", tracker="model_based"), frames)
+    track = HandTracker(CAMERA, side="left", config=config, device="cpu", tracker="model_based")
     assert frames[0].truth is not None
     track.reset(mirror_pose(frames[0].truth.pose))  # type: ignore[arg-type]
     off = []
@@ -91,9 +91,9 @@ def test_the_tracker_of_the_thesis_runs() -> None:
 
 def test_the_same_frames_give_the_same_results() -> None:
     frames = sequence(count=6)
-    track = HandTracker(CAMERA, device="cpu")
+    track = HandTracker(CAMERA, device="cpu", tracker="model_based")
     first, second = follow(track, frames), follow(track, frames)
-    other = follow(HandTracker(CAMERA, device="cpu", graph=False), frames)
+    other = follow(HandTracker(CAMERA, device="cpu", tracker="model_based", graph=False), frames)
     for a, b, c in zip(first, second, other, strict=True):
         np.testing.assert_array_equal(a.pose, b.pose)
         np.testing.assert_allclose(a.keypoints, c.keypoints, atol=1e-6)
@@ -101,7 +101,7 @@ def test_the_same_frames_give_the_same_results() -> None:
 
 def test_a_result_is_kept_while_tracking_goes_on() -> None:
     frames = sequence(count=4)
-    track = HandTracker(CAMERA, device="cpu")
+    track = HandTracker(CAMERA, device="cpu", tracker="model_based")
     assert frames[0].truth is not None
     start = np.array(frames[0].truth.pose)
     track.reset(start)
@@ -121,7 +121,7 @@ def test_a_result_is_kept_while_tracking_goes_on() -> None:
 def test_another_shape_than_the_hand_s_shows_in_the_depth_error() -> None:
     frames = sequence(seed=3, count=8)
     shape = hand_model().sample_shape(np.random.default_rng(3))
-    own = follow(HandTracker(CAMERA, shape=shape, device="cpu"), frames)
+    own = follow(HandTracker(CAMERA, shape=shape, device="cpu", tracker="model_based"), frames)
     wrong = hand_model().sample_shape(np.random.default_rng(3), deviation=-2.0)
-    other = follow(HandTracker(CAMERA, shape=wrong, device="cpu"), frames)
+    other = follow(HandTracker(CAMERA, shape=wrong, device="cpu", tracker="model_based"), frames)
     assert np.median([r.depth_error for r in own]) < np.median([r.depth_error for r in other])

@@ -62,6 +62,10 @@ class BenchOptions:
     """What to measure; may be left out with --sequence."""
     tracker: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Tracker to measure; repeat the option to compare several. The suite's own when not given."""
+    stride: Annotated[tuple[int, ...], tyro.conf.UseAppendAction] = ()
+    """Take every so many frames only; repeat the option for several. The suite's own without."""
+    subject: Annotated[tuple[int, ...], tyro.conf.UseAppendAction] = ()
+    """Seed of a subject; repeat the option for several. The suite's own without."""
     sequence: str | None = None
     """Recorded sequence to track: file or folder."""
     start: str = "truth"
@@ -123,7 +127,8 @@ def run(options: BenchOptions) -> int:
         raise InputError(f"{options.json.resolve().parent} is no folder: create it first")
     device = compute_device(options.device)
     settings = SuiteSettings(
-        trackers=options.tracker, device=device.alias, seed=options.seed, quick=options.quick,
+        trackers=options.tracker, subjects=options.subject, strides=options.stride,
+        device=device.alias, seed=options.seed, quick=options.quick,
         shape=options.shape, first_pose=options.first_pose, data=options.data, cold=options.cold,
         progress=progress,
     )  # fmt: skip
@@ -298,6 +303,8 @@ def _command(options: BenchOptions) -> str:
         words += ["--first-pose", options.first_pose]
     if options.shape is not None:
         words += ["--shape", options.shape]
+    words += [word for number in options.stride for word in ("--stride", str(number))]
+    words += [word for number in options.subject for word in ("--subject", str(number))]
     if options.seed:
         words += ["--seed", str(options.seed)]
     words += ["--quick"] * options.quick + ["--cold"] * options.cold

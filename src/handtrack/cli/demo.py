@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+
+from handtrack.cli.track import TrackerName
 
 SAMPLE = "data/demo.npz"
 """The sample sequence (data/README.md)."""
@@ -26,7 +27,7 @@ class DemoOptions:
     """Folder for the results; made when it does not exist."""
     video: bool = False
     """Write overlay.mp4 too: mesh and keypoints over the depth."""
-    tracker: Literal["model_based", "thesis"] = "model_based"
+    tracker: TrackerName = "hybrid"
     """Which tracker."""
     device: str = "auto"
     """auto, cpu or cuda:0."""

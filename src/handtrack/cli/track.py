@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from handtrack.hand.shape import HandShape
     from handtrack.tracking.tracker import HandTracker
 
+TrackerName = Literal["hybrid", "thesis_hybrid", "discriminative", "model_based", "thesis", "pso"]
+"""Names in `handtrack.tracking.tracker.TRACKERS`, which is not imported for the help text."""
+
+MEAN_HAND = "mean hand"
+"""Where a shape comes from that nobody gave."""
+
 WARM_UP = 2
 """Frames at the start that speed is not measured on: they load and capture the kernels."""
 
@@ -31,12 +37,14 @@ class TrackOptions:
     """Track the hand in a recorded depth sequence; write results.npz, results.csv, config.json.
 
     SOURCE is an .npz recording, a folder of 16-bit PNG images with camera.json, or a data set
-    (NYU, MSRA, ICVL). The first pose comes from the labels of the sequence, or from --start.
+    (NYU, MSRA, ICVL). The hand is found without being told where it is; trackers that cannot do
+    that take the first pose from the labels of the sequence, or from --start.
 
     Examples::
 
         handtrack track data/demo.npz --out out/demo --video
-        handtrack track recording/ --out out/run --start first_pose.json --shape me.npz
+        handtrack track recording/ --out out/run --side left --shape me.npz
+        handtrack track recording/ --out out/run --tracker model_based --start first_pose.json
     """
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
@@ -47,14 +55,15 @@ class TrackOptions:
     """Write overlay.mp4 too: mesh and keypoints over the depth."""
     zoom: float | None = None
     """Let the video show so many metres around the hand instead of the whole image."""
-    tracker: Literal["model_based", "thesis"] = "model_based"
-    """Which tracker."""
+    tracker: TrackerName = "hybrid"
+    """Which tracker: hybrid finds and follows the hand; the others are baselines."""
     shape: str | None = None
     """Hand shape: an .npz file, or mean; without it that of the sequence when it carries one."""
     side: Literal["right", "left"] | None = None
     """Which hand; without it what the sequence says, else right."""
-    start: str = "truth"
-    """First pose: truth (the labels of the sequence), or a .json or .npz file with 28 numbers."""
+    start: str = "auto"
+    """First pose: auto (none for trackers that find the hand, else truth), truth (the labels of the
+    sequence), or a .json or .npz file with 28 numbers."""
     format: Literal["npz", "png", "nyu", "msra", "icvl"] | None = None
     """Format of the sequence, told from its content when not given."""
     device: str = "auto"
@@ -92,13 +101,16 @@ def run(options: TrackOptions) -> int:
         shape, origin = choose_shape(options.shape, sequence, start.labelled, model, side)
         device = compute_device(options.device)
         tracker = HandTracker(
-            sequence.camera, side=side, shape=shape, device=device.alias, model=model,
-            tracker=options.tracker, seed=options.seed,
+            sequence.camera, side=side, shape=None if origin == MEAN_HAND else shape,
+            device=device.alias, model=model, tracker=options.tracker, seed=options.seed,
         )  # fmt: skip
         start.pose = start.resolve(tracker, model)
         options.out.mkdir(parents=True, exist_ok=True)
         record = RunRecord(camera=sequence.camera, shape=shape, side=side)
         video, interrupted = _follow(options, sequence, tracker, start, record)
+        if tracker.size != 1.0:
+            shape = replace(shape, scale=shape.scale * tracker.size)
+            record.shape, origin = shape, f"{origin}, found {tracker.size:.3f} times as large"
     if not record:
         raise InputError(f"{options.source} has no frame")
     record.save(options.out, source=str(options.source))
@@ -117,31 +129,38 @@ class _Start:
     index: int = 0
     pose: Pose | None = None
     labelled: DepthFrame | None = None
+    """A labelled frame; it may also tell the hand's size."""
+    given: bool = False
+    """Whether the labels are to give the pose."""
 
     @classmethod
     def choose(cls, options: TrackOptions, sequence: Sequence) -> _Start:
         """Find the first pose or say what is missing."""
         from handtrack.cli.first_pose import first_labelled, read_pose
         from handtrack.errors import InputError
+        from handtrack.tracking.tracker import AUTOMATIC
 
-        if options.start != "truth":
+        automatic = options.tracker in AUTOMATIC
+        if options.start == "auto" and automatic:
+            return cls(origin="found by the tracker", labelled=first_labelled(sequence))
+        if options.start not in ("auto", "truth"):
             path = Path(options.start)
             return cls(origin=str(path), pose=read_pose(path))
         labelled = first_labelled(sequence)
         if labelled is None:
             raise InputError(
-                f"{options.source} has no labels that tell the first pose, and the "
-                f"{options.tracker} tracker cannot find the hand by itself: give the pose of the "
-                "first frame with --start POSE.json (28 numbers) or --start results.npz"
+                f"{options.source} has no labels that tell the first pose: give it with --start "
+                "POSE.json (28 numbers) or --start results.npz, or take --tracker hybrid, which "
+                "finds the hand by itself"
             )
         origin = f"labels of frame {labelled.index}"
-        return cls(origin=origin, index=labelled.index, labelled=labelled)
+        return cls(origin=origin, index=labelled.index, labelled=labelled, given=True)
 
-    def resolve(self, tracker: HandTracker, model: HandModel) -> Pose:
-        """The pose for the hand that is tracked."""
+    def resolve(self, tracker: HandTracker, model: HandModel) -> Pose | None:
+        """The pose for the hand that is tracked; None when the tracker finds it."""
         from handtrack.cli.first_pose import labelled_pose
 
-        if self.pose is not None:
+        if self.pose is not None or not self.given:
             return self.pose
         assert self.labelled is not None and self.labelled.truth is not None
         return labelled_pose(self.labelled.truth, tracker.hand, model)
@@ -169,7 +188,7 @@ def choose_shape(
     from handtrack.hand.shape import HandShape
 
     if wanted == "mean":
-        return HandShape(), "mean hand"
+        return HandShape(), MEAN_HAND
     if wanted is not None:
         return HandShape.load(wanted), wanted
     subject = sequence.subject
@@ -185,7 +204,7 @@ def choose_shape(
         scale = labelled_scale(labelled.truth, model, side)
         if scale != 1.0:
             return HandShape(scale=scale), f"mean hand, {scale:.3f} times as large (labels)"
-    return HandShape(), "mean hand"
+    return HandShape(), MEAN_HAND
 
 
 def _follow(
@@ -210,7 +229,7 @@ def _follow(
         interrupted = False
         try:
             for frame in _frames(sequence):
-                if frame.index == start.index:
+                if start.pose is not None and frame.index == start.index:
                     tracker.reset(start.pose)
                 result = tracker.track(frame.depth)
                 record.add(frame, result)
@@ -252,7 +271,7 @@ def _resolved(
     from handtrack.tracking.tracker import TRACKERS
 
     root = artifact_root()
-    assert start.pose is not None
+    pose = None if start.pose is None else start.pose.tolist()
     return {
         "command": "track",
         "source": str(options.source),
@@ -263,7 +282,7 @@ def _resolved(
             "origin": shape_origin,
             "alpha": shape.alpha.tolist(), "beta": shape.beta.tolist(), "scale": shape.scale,
         },
-        "start": {"origin": start.origin, "frame": start.index, "pose": start.pose.tolist()},
+        "start": {"origin": start.origin, "frame": start.index, "pose": pose},
         "tracker": options.tracker,
         "tracker_config": asdict(TRACKERS[options.tracker]),
         "seed": options.seed,

@@ -160,6 +160,8 @@ def _check(forest: Forest) -> None:
         (forest.palm, 1, (modes, moved, 3)), (forest.fingers, 5, (1, joints // 5, 3)),
         (presence, 1, (1, 1, 3)),
     ):  # fmt: skip
+        # All stages of a group share the arrays that rows allocate for the first.
+        each = len(group[0].roots) // parts if group else 0
         for stage in group:
             npart, npoint = stage.anchors.shape
             nnode, nleaf = len(stage.children), len(stage.updates)
@@ -175,10 +177,9 @@ def _check(forest: Forest) -> None:
             # Children after parents: traversal ends.
             if (stage.children[inner] <= np.flatnonzero(inner)).any():
                 raise ValueError("a node's child does not follow it")
-            # All stages of a group share the arrays that rows allocate for the first.
-            each = len(group[0].roots) // parts
             shapes = (
-                (npart, npoint) == (parts, forest.config.points), 0 < each <= 64,
+                (npart, npoint) == (parts, forest.config.points),
+                each > 0, parts == 1 or each <= 64,  # the kernel of medians takes no more
                 np.array_equal(stage.tree_parts, np.repeat(np.arange(parts), each)),
                 stage.updates.shape == (nleaf, *output), stage.children.shape == (nnode,),
                 stage.offsets.shape == (npart, npoint, 3), stage.thresholds.shape == (nnode,),

@@ -80,7 +80,6 @@ class Cascade:
         self._palm = [DeviceStage.upload(stage, self.device) for stage in forest.palm]
         self._fingers = [DeviceStage.upload(stage, self.device) for stage in forest.fingers]
         self._presence: DeviceStage | None = None
-        self._mean_hand = hands[0]
 
         def rows(per_image: int, parts: NDArray, trees: int, pose: wp.array | None = None):
             image = np.repeat(np.arange(len(hands)), per_image)
@@ -135,7 +134,7 @@ class Cascade:
         gates = np.column_stack([centres, np.full(len(centres), self._gate_radius)])
         self._images.gates.assign(gates.astype(np.float32))
         if self._presence is not None:
-            poses = region_poses(centres, ends, self._mean_hand)
+            poses = region_poses(centres, ends, self._hands, np.arange(len(centres)))
             self._regions.pose.assign(poses.astype(np.float32))
 
     def run_palms(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
@@ -164,7 +163,8 @@ class Cascade:
         """Bend the fingers under given palms.
 
         Args:
-            poses: Poses, shape (nimage, nmode, 28); their angles are where the cascade starts.
+            poses: Poses, shape (nimage, nmode, 28); their angles are where the cascade starts. They
+                are bent in the crops that `run_palms` has cut.
 
         Returns:
             Poses, same shape. Holistic forests return them as they came.

@@ -95,7 +95,7 @@ def grow_tree(
         child = np.full(len(splits), -1, np.int64)
         child[splits] = node_count + 2 * np.arange(splits.sum())
         child[~splits] = -1 - (leaf_count + np.arange((~splits).sum()))
-        node_points[-1], thresholds[-1] = points, limits * np.float32(VALUE_STEP)
+        node_points[-1], thresholds[-1] = points, (limits * VALUE_STEP).astype(np.float32)
         children[-1] = child
         inner = splits[nodes]
         leaf_of = -1 - child[nodes[~inner]]

@@ -29,7 +29,7 @@ PALM_PART = np.zeros(1, np.int32)
 FINGER_PARTS = np.array(BASE_BONES, np.int32)
 """Reference bones of the five parts of finger forests."""
 
-IK_STEPS, IK_DAMPING = 6, 1e-5
+IK_STEPS, IK_DAMPING = 6, 1e-4
 """Gauss-Newton steps per finger, and what is added to their diagonal [m^2/rad^2]."""
 
 START_STRIDE = 2
@@ -338,14 +338,17 @@ class PalmVotes:
             fingers.launch_bend()
 
 
-def region_poses(centres: ArrayLike, wrists: ArrayLike, hand: ShapedHand) -> NDArray[np.float64]:
+def region_poses(
+    centres: ArrayLike, wrists: ArrayLike, hands: ForestHands, worn: NDArray[np.integer]
+) -> NDArray[np.float64]:
     """Poses that a region suggests: from its wrist to its middle, seen from the camera.
 
     Args:
         centres: Middle of each region [m], shape (n, 3).
         wrists: Where it joins an arm [m], NaN where it stands alone, shape (n, 3); it is then taken
             to point up.
-        hand: The hand whose middle knuckle is put into the middle.
+        hands: The hands whose middle knuckles are put into the middles.
+        worn: Number of each region's hand, shape (n,).
 
     Returns:
         Poses, shape (n, 28).
@@ -359,11 +362,11 @@ def region_poses(centres: ArrayLike, wrists: ArrayLike, hand: ShapedHand) -> NDA
     along = np.where(np.linalg.norm(along, axis=1, keepdims=True) > 0.01, along, up)
     x = along / np.linalg.norm(along, axis=1, keepdims=True)
     rotation = np.stack([x, ray, np.cross(x, ray)], axis=2)
-    middle = _palm_points([hand])[0, MIDDLE_POINT]
+    middle = hands.palm_points.numpy()[worn, MIDDLE_POINT].astype(np.float64)
     poses = np.zeros((len(centres), 28))
-    poses[:, :3] = centres - rotation @ middle
+    poses[:, :3] = centres - (rotation @ middle[..., None])[..., 0]
     poses[:, 3:7] = matrix_to_quat(rotation)
-    poses[:, 7:] = hand.rest_angles
+    poses[:, 7:] = hands.angles.numpy()[worn]
     return poses
 
 

@@ -260,7 +260,7 @@ class ForestTrainer:
             cells=regions.cells, cameras=regions.cameras, gates=gates.astype(np.float32),
             worn=np.full(len(regions), mean, np.int32), hands=self._hands,
         )  # fmt: skip
-        poses = region_poses(regions.centres, regions.wrists, self._mean_hand)
+        poses = region_poses(regions.centres, regions.wrists, self._hands, source.worn)
         rows = RowChunks(source, forest, per_frame=1, parts=PALM_PART, trees=forest.trees)
         values, _ = rows.values(
             poses.astype(np.float32), anchors[None], offsets[None], lambda part: [part.places]

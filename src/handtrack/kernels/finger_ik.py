@@ -146,6 +146,16 @@ def _bend_fingers(
                     system[a, b] = system[a, b] + total
         for k in range(5):
             system[k, k] = system[k, k] + damping
+        # An angle that would leave its limits stays, and the others are told.
+        for k in range(count):
+            low = limits_in[first - 7 + k, 0]
+            high = limits_in[first - 7 + k, 1]
+            if (angles[k] <= low and slope[k] < 0.0) or (angles[k] >= high and slope[k] > 0.0):
+                for m in range(count):
+                    system[k, m] = float(0.0)
+                    system[m, k] = float(0.0)
+                system[k, k] = float(1.0)
+                slope[k] = float(0.0)
         # Cholesky in place, then both substitutions.
         for j in range(count):
             pivot = system[j, j]

@@ -68,8 +68,10 @@ def _principal_starts(
     centre = wp.vec3(gates_in[image, 0], gates_in[image, 1], gates_in[image, 2])
     for j in range(cells_in.shape[1] // stride):
         for i in range(cells_in.shape[2] // stride):
+            # In a mirror columns are counted from the other side: both see the same cells.
+            column = wp.where(mirror < 0.0, cells_in.shape[2] - 1 - i * stride, i * stride)
             p = _seen_point(
-                cells_in, cameras_in, image, j * stride, i * stride, mirror, centre,
+                cells_in, cameras_in, image, j * stride, column, mirror, centre,
                 gates_in[image, 3],
             )  # fmt: skip
             if p[2] > 0.0:

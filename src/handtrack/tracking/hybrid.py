@@ -38,6 +38,9 @@ from handtrack.transforms import apply_increment, pose_difference
 
 Float = NDArray[np.float64]
 
+LEAST_TRUST = 0.35
+"""Share of `accept_error` that counts as explained even where no hand is expected."""
+
 BATCH = 8
 """Independent frames searched at a time by `find_all`."""
 
@@ -81,7 +84,8 @@ class HybridConfig:
     accept_error: float = 0.014
     """Depth error below which a hand counts as found where there was none [m]."""
     accept_presence: float = 0.25
-    """Chance that its place must have to hold a hand, by forest and segmentation."""
+    """Chance of holding a hand, by forest and segmentation, below which a place must be explained
+    the better the smaller its chance."""
     lost_error: float = 0.016
     """tau of Eq. II.19: depth error above which the hand counts as lost [m]."""
 
@@ -260,10 +264,12 @@ class TrackerHybrid:
                 problem="nothing in view has the size of a hand",
             )  # fmt: skip
         config = self.config
-        sure = found.error < (config.accept_error if first_sight else config.lost_error)
-        sure = sure and (not first_sight or found.presence >= config.accept_presence)
+        limit = config.lost_error
+        if first_sight:
+            likely = np.clip(found.presence / config.accept_presence, LEAST_TRUST, 1.0)
+            limit = config.accept_error * float(likely)
         return Estimate(
-            pose=found.pose, depth_error=found.error, found=sure,
+            pose=found.pose, depth_error=found.error, found=found.error < limit,
             information=found.information, hand=self._hand, timings=timings,
         )  # fmt: skip
 

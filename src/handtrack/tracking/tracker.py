@@ -37,6 +37,9 @@ TRACKERS: dict[str, TrackerConfig] = {
 }
 """Name of each tracker and its settings."""
 
+AUTOMATIC: tuple[str, ...] = ("hybrid", "thesis_hybrid", "discriminative")
+"""Trackers that find the hand by themselves; the others need a first pose."""
+
 
 class HandTracker:
     """Tracks one hand in the frames of one depth camera.
@@ -87,8 +90,14 @@ class HandTracker:
             seed=seed,
             graph=graph,
         )
+        self._made_length = self.hand.bone_lengths[0]
         self._buffer = np.zeros(camera.shape, np.float32)
         self._forget(None)
+
+    @property
+    def size(self) -> float:
+        """Overall scale of the hand now, against the shape it was made with."""
+        return float(self.hand.bone_lengths[0] / self._made_length)
 
     @property
     def automatic(self) -> bool:

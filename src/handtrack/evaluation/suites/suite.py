@@ -70,6 +70,10 @@ class SuiteSettings:
 
     trackers: tuple[str, ...] = ()
     """Trackers to measure; empty takes the suite's own."""
+    subjects: tuple[int, ...] = ()
+    """Seeds of the subjects; empty takes the suite's own."""
+    strides: tuple[int, ...] = ()
+    """Every so many frames; empty takes the suite's own."""
     device: str | None = None
     """"cpu", "cuda:N" or None for the best there is."""
     seed: int = 0
@@ -235,8 +239,13 @@ def chosen(settings: SuiteSettings, cases: Mapping[str, Any]) -> dict[str, Any]:
     data = {key: value for key, value in cases.items() if key != "quick"}
     if settings.quick:
         data |= cases.get("quick", {})
-    if settings.trackers:
-        data["trackers"] = list(settings.trackers)
+    for name in ("trackers", "subjects", "strides"):
+        wanted = getattr(settings, name)
+        if not wanted:
+            continue
+        if not isinstance(data.get(name), list):
+            raise InputError(f"this suite has no {name} to choose from")
+        data[name] = list(wanted)
     return data
 
 
