@@ -99,14 +99,14 @@ def test_the_table_holds_the_same_numbers(run: Path) -> None:
 def test_the_configuration_tells_what_is_needed_to_repeat_it(sequence: Path, run: Path) -> None:
     facts = json.loads((run / "config.json").read_text())
     assert facts["source"] == str(sequence) and facts["format"] == "npz"
-    assert facts["tracker"] == "model_based" and facts["device"] == "cpu" and facts["seed"] == 0
+    assert facts["tracker"] == "hybrid" and facts["device"] == "cpu" and facts["seed"] == 0
     assert facts["tracker_config"]["fit"]["iterations"] > 0
     assert facts["versions"]["handtrack"] == handtrack.__version__
     assert facts["camera"]["width"] == 320 and facts["frames"] == COUNT
     assert facts["shape"]["origin"] == "from the sequence" and len(facts["shape"]["alpha"]) > 0
     digest = hashlib.sha256(artifact_path("hand.npz").read_bytes()).hexdigest()
     assert facts["artifacts"]["models/hand.npz"] == digest
-    assert len(facts["start"]["pose"]) == 28
+    assert facts["start"] == {"origin": "found by the tracker", "frame": 0, "pose": None}
 
 
 def test_the_video_shows_every_frame(run: Path) -> None:
@@ -126,7 +126,7 @@ def test_what_is_printed(
     printed = capsys.readouterr()
     for text in (
         "frames per second, median", "depth error, median", "state tracking", "keypoint error",
-        "shape: from the sequence", "labels of frame 0", str(tmp_path / "out"),
+        "shape: from the sequence", "found by the tracker", str(tmp_path / "out"),
     ):  # fmt: skip
         assert text in printed.out
     assert not printed.err, "no progress bar off a terminal"
@@ -143,10 +143,13 @@ def test_shape_side_and_first_pose_can_be_given(
         truth = opened[0].truth  # type: ignore[index]
     shape.save(tmp_path / "shape.npz")
     (tmp_path / "start.json").write_text(json.dumps({"pose": truth.pose.tolist()}))
-    given = ["--shape", str(tmp_path / "shape.npz"), "--start"]
+    plain = ["--tracker", "model_based"]
+    assert track(sequence, tmp_path / "labels", *plain) == 0
+    assert "labels of frame 0" in capsys.readouterr().out
+    given = [*plain, "--shape", str(tmp_path / "shape.npz"), "--start"]
     assert track(folder, tmp_path / "json", *given, str(tmp_path / "start.json")) == 0
     assert track(folder, tmp_path / "npz", *given, str(run / "results.npz")) == 0
-    reference = results(run)["keypoints"]
+    reference = results(tmp_path / "labels")["keypoints"]
     np.testing.assert_allclose(results(tmp_path / "json")["keypoints"], reference, atol=1e-4)
     np.testing.assert_allclose(results(tmp_path / "npz")["keypoints"], reference, atol=3e-3)
     assert "truth_keypoints" not in results(tmp_path / "json")
@@ -159,7 +162,7 @@ def test_labels_that_are_keypoints_give_a_first_pose(sequence: Path, tmp_path: P
     # The first frames are not labelled.
     arrays["truth_keypoints"][:2] = np.nan
     np.savez(tmp_path / "s.npz", **arrays)
-    assert track(tmp_path / "s.npz", tmp_path / "out") == 0
+    assert track(tmp_path / "s.npz", tmp_path / "out", "--tracker", "model_based") == 0
     found = results(tmp_path / "out")
     assert found["state"].tolist() == ["no_hand"] * 2 + ["tracking"] * (COUNT - 2)
     assert np.isnan(found["keypoints"][:2]).all()
@@ -215,7 +218,7 @@ def test_rotations_are_unit_quaternions_of_the_camera_frame(run: Path) -> None:
     ("words", "message"),
     [
         (["none.npz"], "no file or folder"),
-        (["FOLDER"], "--start"),
+        (["FOLDER", "--tracker", "model_based"], "--tracker hybrid"),
         (["FOLDER", "--start", "none.json"], "no first pose at none.json"),
         (["FOLDER", "--start", "bad.json"], "cannot be read as a pose"),
         (["FOLDER", "--start", "short.json"], "28 finite numbers"),

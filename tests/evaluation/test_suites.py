@@ -341,7 +341,7 @@ def test_a_start_in_its_own_process_is_timed() -> None:
 
 @pytest.mark.data
 def test_real_images_start_from_their_labels(recordings: Path) -> None:
-    result = run_suite("real", replace(QUICK, data=recordings))
+    result = run_suite("real", replace(QUICK, trackers=("model_based",), data=recordings))
     case = check_document(result)["nyu_test_0001740_crop"]
     assert case["start_error_mm"] < 5.0 and 0.8 < case["scale"] < 1.5
     assert case["keypoint_error_mm"]["mean"] < 15.0

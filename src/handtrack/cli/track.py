@@ -7,7 +7,7 @@ import json
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import tyro
 
@@ -284,7 +284,7 @@ def _resolved(
         },
         "start": {"origin": start.origin, "frame": start.index, "pose": pose},
         "tracker": options.tracker,
-        "tracker_config": asdict(TRACKERS[options.tracker]),
+        "tracker_config": asdict(cast(Any, TRACKERS[options.tracker])),
         "seed": options.seed,
         "device": device,
         "versions": versions(),

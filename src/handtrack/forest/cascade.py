@@ -147,7 +147,7 @@ class Cascade:
         self._palm_graph()
         wp.synchronize_device(self.device)
         weights = self._later.mode_weights if len(self._palm) > 1 else self._first.mode_weights
-        return self._poses(), weights.numpy().copy()
+        return self._poses(), np.array(weights.numpy(), np.float32)
 
     def presence(self) -> NDArray[np.float64]:
         """Chance that a hand is in each place that `run_palms` looked at, shape (nimage,).

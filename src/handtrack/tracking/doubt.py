@@ -5,7 +5,7 @@ from __future__ import annotations
 LEVEL_RATE = 0.05
 """Share of a frame's depth error in its running level: about 20 frames of memory."""
 
-YOUNG, YOUNG_PERIOD = 15, 3
+YOUNG, YOUNG_PERIOD = 15, 1
 """For so many frames a new track is doubted so often: first poses are the least certain."""
 
 

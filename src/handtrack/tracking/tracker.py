@@ -90,14 +90,14 @@ class HandTracker:
             seed=seed,
             graph=graph,
         )
-        self._made_length = self.hand.bone_lengths[0]
+        self._made_hand = self.hand
         self._buffer = np.zeros(camera.shape, np.float32)
         self._forget(None)
 
     @property
     def size(self) -> float:
         """Overall scale of the hand now, against the shape it was made with."""
-        return float(self.hand.bone_lengths[0] / self._made_length)
+        return float(self.hand.bone_lengths[0] / self._made_hand.bone_lengths[0])
 
     @property
     def automatic(self) -> bool:
@@ -111,6 +111,7 @@ class HandTracker:
             InputError: The pose is not 28 finite numbers with a quaternion.
         """
         good = None if pose is None else _check_pose(pose)
+        self.hand = self._made_hand
         self._forget(good)
         self._tracker.forget()
         if good is not None:

@@ -48,9 +48,9 @@ def regression_suite(settings: SuiteSettings, cases: Mapping[str, Any]) -> Suite
     if settings.trackers:
         raise InputError("the suite regression trains its own forests; leave out --tracker")
     config = DatasetConfig(
-        seed=data["seed"] + settings.seed,
-        **{key: int(data[key]) for key in ("subjects", "poses", "viewpoints")},
-    )
+        seed=data["seed"] + settings.seed, subjects=int(data["subjects"]),
+        poses=int(data["poses"]), viewpoints=int(data["viewpoints"]),
+    )  # fmt: skip
     dataset = SyntheticDataset(config, device=settings.device)
     subjects = dataset.subjects()
     found: dict[str, list[Float]] = {variant["case"]: [] for variant in data["variants"]}

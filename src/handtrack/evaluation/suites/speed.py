@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from handtrack.camera.frame import DepthFrame, check_depth
 from handtrack.device import resolve_device
+from handtrack.errors import InputError
 from handtrack.evaluation.metrics import summarize
 from handtrack.evaluation.runner import true_keypoints
 from handtrack.evaluation.suites.stages import StagedFitter
@@ -83,7 +84,10 @@ def _measure(
     settings: SuiteSettings,
 ) -> dict[str, Any]:
     """The case of one number of hypotheses."""
-    config = replace(TRACKERS[tracker].fit, iterations=int(data["iterations"]))
+    fit = getattr(TRACKERS[tracker], "fit", None)
+    if fit is None:
+        raise InputError(f"the tracker {tracker!r} fits nothing whose speed could be measured")
+    config = replace(fit, iterations=int(data["iterations"]))
     prior = GaussianPrior.load() if config.prior_weight > 0 else None
     camera = subject.frames[0].camera
     fitter = StagedFitter(
