@@ -13,10 +13,10 @@ the covariance s^2 H^-1. Neither holds, so three things differ here:
   What nothing was seen of is uncertain by its range: that of its limits for a joint angle.
 
 The constants were fitted on `leap_hand_motion`, worn by eight drawn subjects (seeds 200 to 207) at
-three distances and with the noise of three sensors, each tracked by the model-based tracker with
-its own and with the mean shape: they bring about 65 % of the errors within one sigma and 95 % within
-two (least sum of both quantile losses of log(error / sigma)). `handtrack bench tracking` tells the
-calibration on other motion and subjects.
+three distances, with the noise of three sensors, each tracked by the model-based tracker with its
+own and with the mean shape. They are round numbers near the least sum of the quantile losses of
+log(error / sigma) for 65 % within one sigma and 95 % within two. What they reach on other motion
+and subjects is told by `handtrack bench tracking`.
 """
 
 from __future__ import annotations
