@@ -5,21 +5,21 @@ from __future__ import annotations
 LEVEL_RATE = 0.05
 """Share of a frame's depth error in its running level: about 20 frames of memory."""
 
-YOUNG, YOUNG_PERIOD = 15, 1
-"""For so many frames a new track is doubted so often: first poses are the least certain."""
-
 
 class Doubt:
     """Watches the depth error over frames."""
 
-    def __init__(self, *, error: float, jump: float, period: int) -> None:
+    def __init__(self, *, error: float, jump: float, period: int, young: int = 0) -> None:
         """Start without memory.
 
         Args:
             error: Depth errors up to this are never doubted [m].
             jump: Errors above so much of the running level are doubted at once.
             period: Frames between doubts when the error is high but steady, as with a wrong shape.
+            young: Frames for which a new track is doubted whenever its error is high; first poses
+                are the least certain.
         """
+        self._young = young
         self._error, self._jump, self._period = error, jump, period
         self.forget()
 
@@ -35,20 +35,17 @@ class Doubt:
     @property
     def young(self) -> bool:
         """Whether the track is new and has not explained a frame well yet."""
-        return not self._explained and self._age <= YOUNG
+        return not self._explained and self._age <= self._young
 
     def arises(self, error: float) -> bool:
-        """Whether the pose of this frame is to be doubted; once per frame.
-
-        The first high error counts as a jump.
-        """
+        """Whether the pose of this frame is to be doubted; once per frame."""
         self._since += 1
         self._age += 1
         if error <= self._error:
             self._explained = True
             return False
-        jumped = self._level is None or error > self._jump * self._level
-        period = min(self._period, YOUNG_PERIOD) if self.young else self._period
+        jumped = self._level is not None and error > self._jump * self._level
+        period = 1 if self.young else self._period
         if not jumped and self._since < period:
             return False
         self._since = 0

@@ -75,6 +75,8 @@ class HybridConfig:
     """Errors above so much of their running level are doubted at once."""
     doubt_period: int = 10
     """Frames between doubts when the error is high but steady."""
+    young_frames: int = 15
+    """Frames for which a new track is doubted whenever its error is high."""
     gain: float = 0.92
     """A candidate replaces the tracked pose when its cost is below so much of the tracked one's."""
     temporal_weight: float = 2e-4
@@ -182,7 +184,10 @@ class TrackerHybrid:
             self._probe = SizeProbe(hand, camera, fit=config.fit, **self._options)
         self._seed = seed
         self._doubt = Doubt(
-            error=config.doubt_error, jump=config.doubt_jump, period=config.doubt_period
+            error=config.doubt_error,
+            jump=config.doubt_jump,
+            period=config.doubt_period,
+            young=config.young_frames,
         )
         self.start(None)
 
