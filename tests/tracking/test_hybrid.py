@@ -99,6 +99,11 @@ def test_the_size_of_an_unknown_hand_is_found(frames) -> None:
     for frame in shown:
         tracker.track(frame.depth)
     assert tracker.size == pytest.approx(1.12, abs=0.06)
+    tracker.track_batch([np.zeros(CAMERA.shape, np.float32)])
+    assert tracker.size == 1.0, "a batch leaves nothing behind"
+    for frame in shown:
+        tracker.track(frame.depth)
+    assert tracker.size != 1.0
     tracker.reset()
     assert tracker.size == 1.0
 

@@ -163,16 +163,14 @@ class ForestTrainer:
             rows = RowChunks(
                 self._source, forest, per_frame=per_frame, parts=PALM_PART, trees=forest.trees
             )
-            votes: list[PalmVotes] = []
+            votes = PalmVotes(
+                rows.rows, groups=rows.rows.pose.shape[0], modes=1, leaf_modes=forest.leaf_modes,
+                holistic=holistic,
+            )  # fmt: skip
 
-            def points(part: StageRows, votes: list[PalmVotes] = votes) -> list[wp.array]:
-                if not votes:
-                    votes.append(PalmVotes(
-                        part, groups=part.pose.shape[0], modes=1, leaf_modes=forest.leaf_modes,
-                        holistic=holistic,
-                    ))  # fmt: skip
-                votes[0].launch_points()
-                return [part.frames, part.places, votes[0].points]
+            def points(part: StageRows, votes: PalmVotes = votes) -> list[wp.array]:
+                votes.launch_points()
+                return [part.frames, part.places, votes.points]
 
             values, (turns, places, now) = rows.values(poses, anchors[None], offsets[None], points)
             wanted = np.einsum(
@@ -220,8 +218,9 @@ class ForestTrainer:
                 trees=NFINGER * forest.trees,
             )  # fmt: skip
 
-            def points(part: StageRows) -> list[wp.array]:
-                moves = FingerMoves(part)
+            finger_moves = FingerMoves(rows.rows)
+
+            def points(part: StageRows, moves: FingerMoves = finger_moves) -> list[wp.array]:
                 moves.launch_points()
                 return [part.frames, part.places, moves.points]
 

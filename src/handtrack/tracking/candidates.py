@@ -17,6 +17,7 @@ from handtrack.forest.artifact import Forest
 from handtrack.forest.cascade import Cascade
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
+from handtrack.tracking.best_fit import unit_poses
 from handtrack.tracking.rescue import restart_poses
 
 Float = NDArray[np.float64]
@@ -286,10 +287,3 @@ def restarts_around(
         mine = np.flatnonzero(owner == k)[1:]
         poses[mine] = restart_poses(hand, elite.poses[k], len(mine), rng)
     return replace(elite.take(owner), poses=poses)
-
-
-def unit_poses(fitter: Fitter) -> Float:
-    """Poses of a fitter's rows with unit quaternions, shape (nrow, 28)."""
-    poses = fitter.poses.astype(np.float64)
-    poses[:, 3:7] /= np.linalg.norm(poses[:, 3:7], axis=1, keepdims=True)
-    return poses

@@ -22,12 +22,11 @@ from handtrack.forest.artifact import Forest
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NV
+from handtrack.tracking.best_fit import fit_best
 from handtrack.tracking.candidates import (
     Candidates,
     CandidateSearch,
-    Refinement,
     misplacement,
-    unit_poses,
 )
 from handtrack.tracking.doubt import Doubt
 from handtrack.tracking.rescue import restart_poses
@@ -174,9 +173,6 @@ class TrackerHybrid:
             **self._options,
         )  # fmt: skip
         self._near.warm_up()
-        self._final = Refinement(
-            hand, camera, fit=config.fit, frames=1, rows=config.finalists, **self._options
-        )
         self._scene = self._scene_search(1)
         self._batch: SceneSearch | None = None
         self._probe: SizeProbe | None = None
@@ -216,7 +212,7 @@ class TrackerHybrid:
         assert self._probe is not None
         self._hand = self._base.scaled(self._probe.size)
         self._follower.resize([self._hand])
-        for part in (self._near, self._final, self._scene):
+        for part in (self._near, self._scene):
             part.resize(self._hand)
         # Depth errors of another size do not compare.
         self._doubt.forget_level()
@@ -289,21 +285,14 @@ class TrackerHybrid:
 
     def _search_near(self, depth: NDArray[np.float32], tracked: Found) -> Found:
         """The tracked pose, or a better candidate from about the same place."""
-        config = self.config
         pool = np.concatenate([
             tracked.pose[None],
-            restart_poses(self._hand, tracked.pose, config.restarts, self._rng),
+            restart_poses(self._hand, tracked.pose, self.config.restarts, self._rng),
         ])  # fmt: skip
         centre = keypoints(self._hand, tracked.pose).mean(axis=0)
         candidates = self._near.run(depth, centre[None], extra=pool)
-        best = candidates.best(self._costs(candidates), config.finalists, self._hand)
-        (final,) = self._final.run(depth[None], [best])
-        row = int(np.argmin(self._costs(final)))
-        return self._better(tracked, Found(
-            pose=final.poses[row], error=float(final.errors[row]),
-            presence=float(final.presence[row]),
-            information=self._final.fitter.information(row),
-        ))  # fmt: skip
+        (found,) = self._scene.finish(depth[None], [candidates], self._costs)
+        return self._better(tracked, found)
 
     def _search_scene(self, depth: NDArray[np.float32], tracked: Found | None) -> Found | None:
         """The best candidate of the whole scene, or the tracked pose when that is better."""
@@ -376,18 +365,8 @@ class TrackerHybrid:
 
     def _fit(self, depth: NDArray[np.float32], starts: Float) -> Found:
         """The lowest depth error among the followed poses."""
-        fitter = self._follower
-        fitter.load_depth(depth)
-        # The middle between the starts keeps each of them within the crop.
-        fitter.place(keypoints(self._hand, starts).mean(axis=(0, 1)))
-        fitter.set_poses(starts)
-        fitter.run()
-        errors, poses = fitter.errors.astype(np.float64), unit_poses(fitter)
-        best = int(np.argmin(errors))
-        return Found(
-            pose=poses[best], error=float(errors[best]), presence=1.0,
-            information=fitter.information(best),
-        )  # fmt: skip
+        pose, error, information = fit_best(self._follower, self._hand, depth, starts)
+        return Found(pose=pose, error=error, presence=1.0, information=information)
 
 
 class _Clock:

@@ -12,11 +12,10 @@ from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
 from handtrack.fitting.config import THESIS, FitConfig
 from handtrack.fitting.fitter import Fitter
-from handtrack.fitting.uncertainty import FitInformation
-from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NV
 from handtrack.priors.gaussian import GaussianPrior
+from handtrack.tracking.best_fit import fit_best
 from handtrack.tracking.doubt import Doubt
 from handtrack.tracking.rescue import restart_poses
 from handtrack.tracking.stepper import Estimate
@@ -168,11 +167,13 @@ class TrackerModelBased:
             fallback = apply_increment(pose, self.config.velocity * self._motion)
         starts = np.stack([pose, fallback][: self._nhyp])
         clock.append(time.perf_counter())
-        found, error, information = self._refine(self._fitter, depth, starts)
+        found, error, information = fit_best(self._fitter, self._hand, depth, starts)
         clock.append(time.perf_counter())
         if self._rescuer is not None and self._doubt.arises(error):
             restarts = restart_poses(self._hand, found, self.config.rescue_rows, self._rng)
-            other, other_error, other_information = self._refine(self._rescuer, depth, restarts)
+            other, other_error, other_information = fit_best(
+                self._rescuer, self._hand, depth, restarts
+            )
             if other_error < self.config.rescue_gain * error:
                 found, error, information = other, other_error, other_information
         self._doubt.remember(error)
@@ -187,19 +188,3 @@ class TrackerModelBased:
             information=information,
             timings=dict(zip(("predict", "fit", "rescue"), map(float, spans), strict=True)),
         )
-
-    def _refine(
-        self, fitter: Fitter, depth: NDArray[np.float32], starts: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], float, FitInformation]:
-        """Best of the refined starts, shape (28,), its depth error [m], and what its fit knew."""
-        # The middle between the starts keeps each of them within the crop.
-        centre = keypoints(self._hand, starts).mean(axis=(0, 1))
-        fitter.load_depth(depth)
-        fitter.place(centre)
-        fitter.set_poses(starts)
-        fitter.run()
-        errors = fitter.errors
-        best = int(np.argmin(errors))
-        found = fitter.poses[best].astype(np.float64)
-        found[3:7] /= np.linalg.norm(found[3:7])
-        return found, float(errors[best]), fitter.information(best)

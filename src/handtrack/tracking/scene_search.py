@@ -91,7 +91,7 @@ class SceneSearch:
             graph: False launches eagerly, for debugging.
         """
         self._hand, self._camera, self._config = hand, camera, config
-        self.frames, self._finalists = frames, finalists
+        self.frames = frames
         self._candidates = CandidateSearch(
             hand, camera, forest, fit=search, places=frames * config.regions, device=device,
             graph=graph,
@@ -151,16 +151,31 @@ class SceneSearch:
                     )
                     for pool in pools
                 ])  # fmt: skip
+        return [
+            None if nothing else found
+            for nothing, found in zip(empty, self.finish(depths, pools, cost), strict=True)
+        ]
+
+    def finish(
+        self, depths: NDArray[np.float32], pools: list[Candidates], cost: Cost
+    ) -> list[Found]:
+        """Fit the best candidates of every frame to the end; the best of them.
+
+        Args:
+            depths: Clean depth [m], shape (frames, height, width).
+            pools: Candidates of each frame.
+            cost: What they are compared by.
+        """
         finals = self._final.run(
-            depths, [pool.best(cost(pool), self._finalists, self._hand) for pool in pools]
+            depths, [pool.best(cost(pool), self._final.rows, self._hand) for pool in pools]
         )
-        results: list[Found | None] = []
+        results = []
         for frame, final in enumerate(finals):
             best = int(np.argmin(cost(final)))
-            results.append(None if empty[frame] else Found(
+            results.append(Found(
                 pose=final.poses[best], error=float(final.errors[best]),
                 presence=float(final.presence[best]),
-                information=self._final.fitter.information(frame * self._finalists + best),
+                information=self._final.fitter.information(frame * self._final.rows + best),
             ))  # fmt: skip
         return results
 

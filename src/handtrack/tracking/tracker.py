@@ -166,13 +166,13 @@ class HandTracker:
             raise InputError(
                 "this tracker needs a first pose; track_batch works with tracker='hybrid'"
             )
+        self.reset()
         checked = [check_depth(depth, self.camera) for depth in depths]
         good = [place for place, (_, problem) in enumerate(checked) if problem is None]
         found: dict[int, Estimate] = {}
         if good:
             estimates = self._tracker.find_all(np.stack([checked[place][0] for place in good]))
             found = dict(zip(good, estimates, strict=True))
-        self._forget(None)
         return [
             self._alone(found.get(place), problem) for place, (_, problem) in enumerate(checked)
         ]
