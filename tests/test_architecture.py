@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "handtrack"
 
 STAGES = (
     "camera", "hand", "objects", "kernels", "priors", "synthesis", "forest", "fitting", "tracking",
-    "evaluation", "physics", "grasp", "viewer", "config", "cli",
+    "evaluation", "export", "physics", "grasp", "viewer", "config", "cli",
 )  # fmt: skip
 """In the order in which data flows: a stage imports only stages before it."""
 ROOT_FILES = ("errors", "device", "transforms", "artifacts", "files")

@@ -16,7 +16,7 @@ The stages, one folder each, in the order in which data flows through them::
        |
     tracking    memory over frames, picks the best  -> HandResult
        |
-    evaluation  metrics and benchmarks
+    evaluation  metrics and benchmarks                 export     files and streams for others
        |
     physics     simulation of the hand                 grasp      synthesis and control
        |
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from handtrack.hand.model import HandModel
     from handtrack.hand.shape import HandShape
     from handtrack.tracking.result import HandResult, TrackState
+    from handtrack.tracking.shape_calibration import fit_shape
     from handtrack.tracking.tracker import HandTracker
 
     __version__: str
@@ -59,6 +60,7 @@ _HOMES = {
     "HandShape": "handtrack.hand.shape",
     "HandTracker": "handtrack.tracking.tracker",
     "TrackState": "handtrack.tracking.result",
+    "fit_shape": "handtrack.tracking.shape_calibration",
     "open_sequence": "handtrack.camera.source",
 }
 
@@ -76,6 +78,7 @@ __all__ = [
     "MissingDependencyError",
     "MissingFileError",
     "TrackState",
+    "fit_shape",
     "open_sequence",
 ]
 

@@ -1,12 +1,15 @@
 import hashlib
 import json
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from handtrack import artifacts
 from handtrack.artifacts import artifact_files, artifact_path, artifact_root
-from handtrack.camera.source import FORMATS
+from handtrack.camera import optional
+from handtrack.camera.source import FORMATS, LIVE_SOURCES
 from handtrack.cli import main
 from handtrack.errors import MissingFileError
 
@@ -19,6 +22,26 @@ def test_json_tells_versions_devices_artifacts_and_formats(capsys):
     assert facts["devices"]["auto means"] in facts["devices"]
     assert facts["devices"]["kernel cache"]
     assert list(facts["sequence formats"]) == list(FORMATS)
+
+
+def test_missing_extras_are_told_with_what_to_type(capsys, monkeypatch):
+    monkeypatch.setitem(optional.EXTRAS, "rosbag", ("a_module_that_is_nowhere",))
+    assert main(["info", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["extras"]["rosbag"] == "missing: pip install 'handtrack[rosbag]'"
+    assert set(facts["extras"]) == set(optional.EXTRAS)
+    assert facts["sequence formats"]["rosbag1"].endswith("[needs the extra rosbag]")
+    assert "needs" not in facts["sequence formats"]["npz"]
+    assert facts["live sources"] == LIVE_SOURCES
+    assert main(["info"]) == 0
+    printed = capsys.readouterr().out
+    assert "pip install 'handtrack[rosbag]'" in printed and "[needs the extra rosbag]" in printed
+
+
+def test_extras_are_those_of_the_distribution():
+    project = Path(__file__).parents[2] / "pyproject.toml"
+    told = tomllib.loads(project.read_text("utf-8"))["project"]["optional-dependencies"]
+    assert set(optional.EXTRAS) <= set(told)
 
 
 def test_artifacts_are_told_with_their_hash(capsys):

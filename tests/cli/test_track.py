@@ -6,7 +6,11 @@ import csv
 import hashlib
 import json
 import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -14,8 +18,9 @@ import pytest
 
 import handtrack
 from handtrack.artifacts import artifact_path
-from handtrack.camera.source import open_sequence
+from handtrack.camera.source import FORMATS, open_sequence
 from handtrack.cli import main
+from handtrack.cli.track import FormatName
 from handtrack.evaluation.run_record import COLUMNS
 from handtrack.hand.shape import HandShape
 from handtrack.hand.skeleton import KEYPOINTS, POSE
@@ -281,6 +286,50 @@ def test_an_interrupted_run_keeps_what_it_has(
     assert track(sequence, tmp_path / "out", "--video") == 130
     assert len(results(tmp_path / "out")["pose"]) == 4
     assert (tmp_path / "out" / "overlay.mp4").is_file()
+
+
+def test_a_live_source_is_tracked_and_recorded_until_enough_frames(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    more = ["--frames", "5", "--record", str(tmp_path / "kept"), "--tracker", "hybrid"]
+    with open_sequence(sequence) as truth:
+        side, shape = truth.subject.side, truth.camera.shape  # type: ignore[union-attr]
+    assert main(["track", f"replay:{sequence}", "--out", str(tmp_path / "out"), *more]) == 0
+    found = results(tmp_path / "out")
+    assert found["frame_index"].tolist() == list(range(5)) and (np.diff(found["time"]) > 0).all()
+    printed = capsys.readouterr().out
+    assert "frames dropped" in printed and f"recorded to {tmp_path / 'kept'}: 5 frames" in printed
+    with open_sequence(tmp_path / "kept") as kept:
+        assert kept.camera.shape == shape and kept.subject.side == side  # type: ignore[union-attr]
+        assert [frame.problem for frame in kept] == [None] * 5
+        np.testing.assert_allclose([frame.time for frame in kept], found["time"], atol=1e-5)
+
+
+def test_a_killed_run_leaves_a_readable_recording(sequence: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    words = [sys.executable, "-m", "handtrack", "track", f"replay:{sequence}", "--device", "cpu"]
+    process = subprocess.Popen(
+        [*words, "--out", str(tmp_path / "out"), "--record", str(kept)],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        end = time.monotonic() + 120
+        while len(list(kept.glob("*.png"))) < 12:
+            assert process.poll() is None and time.monotonic() < end
+            time.sleep(0.01)
+    finally:
+        process.kill()
+        process.wait()
+    with open_sequence(kept) as recording, open_sequence(sequence) as truth:
+        frames, known = list(recording), [frame.depth for frame in truth]
+    assert len(frames) >= 12
+    for frame in frames:
+        assert frame.problem is None
+        assert min(np.abs(frame.depth - depth).max() for depth in known) < 1e-4
+
+
+def test_every_format_can_be_forced() -> None:
+    assert get_args(FormatName) == FORMATS
 
 
 def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,9 +42,34 @@ def test_a_shape_is_saved_where_it_was_told(tmp_path: Path) -> None:
     np.testing.assert_array_equal(HandShape.load(path).alpha, [1.0])
 
 
+def test_what_a_fit_tells_is_saved_with_the_shape(tmp_path: Path) -> None:
+    path = tmp_path / "me.npz"
+    told = HandShape(
+        alpha=np.array([1.0, 2.0]), beta=np.array([3.0]), scale=1.1,
+        alpha_std=np.array([0.1, 0.2]), beta_std=np.array([0.3]), scale_std=0.01,
+        problem="only fists",
+    )  # fmt: skip
+    told.save(path)
+    loaded = HandShape.load(path)
+    np.testing.assert_array_equal(loaded.alpha_std, told.alpha_std)
+    np.testing.assert_array_equal(loaded.beta_std, told.beta_std)
+    assert (loaded.scale_std, loaded.problem) == (0.01, "only fists")
+
+
+def test_a_shape_without_uncertainty_is_read_as_before(tmp_path: Path) -> None:
+    path = tmp_path / "old.npz"
+    np.savez(path, format_version=1, alpha=np.ones(2), beta=np.zeros(1), scale=1.0)
+    loaded = HandShape.load(path)
+    assert loaded.alpha_std is loaded.beta_std is loaded.scale_std is loaded.problem is None
+
+
 @pytest.mark.parametrize(
     "values",
     [
+        {"alpha_std": np.zeros(1)},
+        {"alpha": np.zeros(2), "alpha_std": [0.1, -0.1]},
+        {"beta": np.zeros(1), "beta_std": [np.nan]},
+        {"scale_std": -0.1},
         {"alpha": np.zeros((2, 2))},
         {"beta": np.float64(1.0)},
         {"alpha": [np.nan]},

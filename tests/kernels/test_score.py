@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from handtrack.kernels.render import EMPTY
-from handtrack.kernels.score import pick_rows, score_depth
+from handtrack.kernels.score import score_depth
 from oracles.depth_score import depth_error
 from oracles.device_arrays import download, poisoned, upload
 from oracles.scenes import rounded
@@ -105,26 +105,3 @@ def test_a_nan_pose_scores_worst_and_spares_the_others(make_posed, device, rng) 
         array.assign(host)
     errors, _ = score(posed, device, rendered, cells, points, 1, -10.0)
     np.testing.assert_allclose(errors, [0.0, CAP, 0.0], rtol=1e-6)
-
-
-def pick(device: str, hand_rows: list[list[int]], costs: list[float]) -> list[int]:
-    best = poisoned(len(hand_rows), device, int)
-    pick_rows(upload(np.array(hand_rows), device), upload(np.array(costs), device), best=best)
-    return download(best).tolist()
-
-
-def test_the_lowest_finite_cost_of_each_hand_wins(device: str) -> None:
-    rows = [[0, 1, 2], [3, 4, 5], [6, 7, -1]]
-    costs = [3.0, 1.0, 2.0, np.nan, 9.0, np.inf, 5.0, 5.0]
-    assert pick(device, rows, costs) == [1, 4, 6]
-
-
-def test_without_a_finite_cost_the_first_row_is_named(device: str) -> None:
-    assert pick(device, [[2, 0], [1, 3]], [np.nan, np.inf, np.nan, np.inf]) == [2, 1]
-
-
-def test_rows_in_any_order_equal_numpy(device: str, rng) -> None:
-    costs = rng.random(60)
-    rows = rng.permutation(60).reshape(10, 6)
-    found = pick(device, rows.tolist(), costs.tolist())
-    np.testing.assert_array_equal(found, rows[np.arange(10), costs[rows].argmin(1)])

@@ -87,6 +87,27 @@ def test_another_codec_stands_in_for_a_missing_one(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["v.avi"]
 
 
+@pytest.mark.skipif(not hasattr(cv2, "Animation"), reason="this OpenCV writes no animations")
+def test_a_webp_of_less_quality_is_smaller(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    pictures = [
+        cv2.blur(rng.integers(0, 256, (96, 160, 3), np.uint8), (5, 5)) for _ in range(4)
+    ]  # fmt: skip
+    sizes = []
+    for quality in (90, 20):
+        path = tmp_path / f"{quality}.webp"
+        with VideoWriter(path, frames_per_second=10, quality=quality) as writer:
+            for picture in pictures:
+                writer.write(picture)
+        found, animation = cv2.imreadanimation(str(path))
+        assert found and len(animation.frames) == 4 and list(animation.durations) == [100] * 4
+        sizes.append(path.stat().st_size)
+    assert sizes[0] > 1.5 * sizes[1]
+    for suffix, quality in ((".mp4", 50), (".webp", 0), (".webp", 101)):
+        with pytest.raises(InputError, match="quality"):
+            VideoWriter(tmp_path / f"v{suffix}", quality=quality)
+
+
 def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.mp4"):
         VideoWriter(tmp_path / "v.txt")

@@ -49,6 +49,8 @@ class DepthFrame:
     """File name or label of the frame."""
     truth: FrameTruth | None = None
     """Labels, None when there are none."""
+    received: float | None = None
+    """When a live frame arrived here [s], by `time.perf_counter`; None in a recording."""
     problem: str | None = None
     """Why this frame could not be read (`depth` is all zero then), None for a good frame."""
 

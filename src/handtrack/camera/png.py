@@ -69,9 +69,26 @@ def read_png(path: Path, *, channels: int, bits: int) -> NDArray[Any]:
         MissingFileError: There is no such file.
         DamagedFileError: It is truncated, corrupt, or of another type.
     """
+    return decode_png(_read_bytes(path), path, channels=channels, bits=bits)
+
+
+def decode_png(data: bytes, path: Path | str, *, channels: int, bits: int) -> NDArray[Any]:
+    """Pixels of a PNG that is in memory.
+
+    Args:
+        data: The PNG.
+        path: Where it comes from, for messages.
+        channels: As in `read_png`.
+        bits: As in `read_png`.
+
+    Returns:
+        As `read_png` does.
+
+    Raises:
+        DamagedFileError: It is truncated, corrupt, or of another type.
+    """
     import cv2
 
-    data = _read_bytes(path)
     header = _header(data, path)
     if (header.channels, header.bits) != (channels, bits):
         raise DamagedFileError(
@@ -99,7 +116,7 @@ def _read_bytes(path: Path, count: int = -1) -> bytes:
         raise DamagedFileError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
-def _header(data: bytes, path: Path) -> PngHeader:
+def _header(data: bytes, path: Path | str) -> PngHeader:
     """The header chunk, which always comes first."""
     if not data:
         raise DamagedFileError(f"{path} is empty: expected a PNG image")
@@ -111,7 +128,7 @@ def _header(data: bytes, path: Path) -> PngHeader:
     return PngHeader(width=width, height=height, bits=bits, channels=_CHANNELS.get(colour, 0))
 
 
-def _verify(data: bytes, path: Path) -> None:
+def _verify(data: bytes, path: Path | str) -> None:
     """Walk over the chunks up to IEND and check each checksum."""
     position = len(SIGNATURE)
     while position + 12 <= len(data):

@@ -54,6 +54,21 @@ class Sequence(ABC):
     truth: frozenset[str] = frozenset()
     """Fields of `FrameTruth` that frames may carry: "keypoints", "pose", "joints"."""
 
+    @property
+    def live(self) -> bool:
+        """Whether frames come from a device as time passes; old ones are lost then."""
+        return False
+
+    @property
+    def dropped(self) -> int:
+        """Frames that were lost because newer ones were there; always 0 in a recording."""
+        return 0
+
+    @property
+    def status(self) -> str:
+        """What the source is doing: "recorded", or one of `live.LIVE_STATUSES`."""
+        return "recorded"
+
     @abstractmethod
     def __iter__(self) -> Iterator[DepthFrame]: ...
 
@@ -78,6 +93,10 @@ class RecordedSequence(Sequence):
     """Name of the format, as given to `open_sequence`."""
     layout: ClassVar[str]
     """What the format looks like on disk, one line."""
+    extra: ClassVar[str | None] = None
+    """Extra of this distribution that reading it needs, a key of `optional.EXTRAS`."""
+    has_topics: ClassVar[bool] = False
+    """Whether a file may hold several image streams; the constructor takes `topic` then."""
 
     @classmethod
     @abstractmethod
@@ -85,7 +104,9 @@ class RecordedSequence(Sequence):
         """Whether a path that exists holds this format, judged by its content."""
 
     @abstractmethod
-    def __init__(self, path: Path, *, camera: Camera | None, depth_unit: float | None) -> None: ...
+    def __init__(
+        self, path: Path, *, camera: Camera | None = None, depth_unit: float | None = None
+    ) -> None: ...
 
     def _describe(
         self,

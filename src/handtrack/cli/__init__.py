@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 VERBS: dict[str, str] = {
     "demo": "track the sample sequence, print a table, write a video",
     "track": "track a recorded sequence and save the results",
+    "view": "track a recording and look at it in a browser",
+    "live": "track a camera; show, publish and record as it happens",
+    "export": "write results for animation, virtual reality, biomechanics, spreadsheets",
+    "fit-shape": "fit the hand model to its owner from a few depth images",
     "synth": "render labelled depth sequences from recorded motion",
     "train-forest": "train the regressor that starts and recovers tracking",
     "bench": "measure accuracy and speed together",

@@ -27,7 +27,9 @@ class BenchOptions:
     forearm and noise, three subjects), single-frame (no memory: unseen subjects, any viewpoint),
     recovery (frames until tracking is back from a scrambled pose), scenes (people, a hand that
     leaves, a cup instead of a hand), speed (time per frame and stage by number of hypotheses),
-    ablation (every switch changed), regression (the forest alone), real (labelled real images,
+    live (a camera for --minutes: memory, dropped frames, age of results), viewer (what the web
+    viewer costs the loop), ablation (every switch changed), regression (the
+    forest alone), shape (fitted to images and while tracking), real (labelled real images,
     --data); --sequence measures any recorded sequence.
 
     Trackers that find the hand by themselves are never given a pose.
@@ -50,8 +52,11 @@ class BenchOptions:
             "recovery",
             "scenes",
             "speed",
+            "live",
+            "viewer",
             "ablation",
             "regression",
+            "shape",
             "real",
             "sequence",
         ]
@@ -75,9 +80,10 @@ class BenchOptions:
     automatic tracker finds in that frame without memory."""
     side: Literal["right", "left"] | None = None
     """Hand of --sequence; without it what the sequence says, else right."""
-    shape: Literal["given", "mean"] | None = None
+    shape: Literal["given", "mean", "fitted", "adapted"] | None = None
     """Give trackers the subject's shape, or let them make do with the mean hand. The suite's own
-    when not given: mean for single-frame, recovery, scenes and real, given for the others."""
+    when not given: mean for single-frame, recovery, scenes and real, given for the others. Suite
+    tracking: fitted to images of the subject beforehand, or adapted while tracking."""
     data: Path | None = None
     """Folder with the recordings of others, for the suite real."""
     json: Path | None = None
@@ -93,6 +99,8 @@ class BenchOptions:
     """Run a small part only, to see that everything works; its numbers mean little."""
     cold: bool = False
     """Suite speed: time the start with all kernels to compile too, which takes minutes."""
+    minutes: float | None = None
+    """Suite live: how long it runs; 10 without."""
     device: str = "auto"
     """auto, cpu or cuda:0."""
     seed: int = 0
@@ -130,7 +138,7 @@ def run(options: BenchOptions) -> int:
         trackers=options.tracker, subjects=options.subject, strides=options.stride,
         device=device.alias, seed=options.seed, quick=options.quick,
         shape=options.shape, first_pose=options.first_pose, data=options.data, cold=options.cold,
-        progress=progress,
+        minutes=options.minutes, progress=progress,
     )  # fmt: skip
     if options.sequence is None:
         result = run_suite(suite, settings)

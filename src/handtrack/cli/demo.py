@@ -53,7 +53,7 @@ def run(options: DemoOptions) -> int:
 
     return track.run(
         track.TrackOptions(
-            source=str(artifact_path(SAMPLE)),
+            source=(str(artifact_path(SAMPLE)),),
             out=options.out,
             video=options.video,
             zoom=ZOOM,

@@ -67,7 +67,7 @@ def first_labelled(sequence: Sequence) -> DepthFrame | None:
     """First frame whose labels tell a pose, None without one."""
     if not sequence.truth:
         return None
-    return next((frame for frame in sequence if _tells_pose(frame.truth)), None)
+    return next((frame for frame in sequence if tells_pose(frame.truth)), None)
 
 
 def labelled_pose(truth: FrameTruth, hand: ShapedHand, model: HandModel) -> Pose:
@@ -104,7 +104,7 @@ def labelled_scale(truth: FrameTruth, model: HandModel, side: str) -> float:
     return start_pose_from_joints(model, truth.joints, side=side)[1]
 
 
-def _tells_pose(truth: FrameTruth | None) -> bool:
+def tells_pose(truth: FrameTruth | None) -> bool:
     """Whether a frame's labels are enough for a pose."""
     if truth is None:
         return False

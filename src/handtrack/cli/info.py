@@ -10,9 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from handtrack.camera.optional import EXTRAS, installed
+from handtrack.camera.source import FORMATS, LIVE_SOURCES, reader
+
 PACKAGES = (
     "numpy", "scipy", "warp-lang", "opencv-python-headless", "trimesh", "scikit-learn", "tyro",
-    "rich", "mujoco", "viser", "pyrealsense2", "rosbags", "dask",
+    "rich", "joblib", "mujoco", "viser", "pyrealsense2", "rosbags", "dask", "distributed",
 )  # fmt: skip
 """Packages whose versions are told, core ones first."""
 
@@ -45,14 +48,15 @@ def run(options: InfoOptions) -> int:
         print(json.dumps(facts, indent=2))
         return 0
     from rich.console import Console
-    from rich.table import Table
+    from rich.text import Text
 
-    table = Table(show_header=False, box=None, pad_edge=False)
+    # Lines are not broken: there are commands among them, and this goes into bug reports.
+    console = Console(soft_wrap=True, highlight=False)
+    width = max(len(name) for values in facts.values() for name in values)
     for section, values in facts.items():
-        table.add_row(f"[bold]{section}[/bold]", "")
+        console.print(Text(section, style="bold"))
         for name, value in values.items():
-            table.add_row(f"  {name}", str(value))
-    Console(soft_wrap=True).print(table)
+            console.print(Text(f"  {name:<{width}}  {value}"))
     return 0
 
 
@@ -63,6 +67,8 @@ def collect() -> dict[str, dict[str, Any]]:
         "devices": _devices(),
         "artifacts": _artifacts(),
         "sequence formats": _formats(),
+        "live sources": dict(LIVE_SOURCES),
+        "extras": _extras(),
     }
 
 
@@ -118,10 +124,21 @@ def _artifacts() -> dict[str, str]:
 
 
 def _formats() -> dict[str, str]:
-    """Formats that `open_sequence` reads."""
-    from handtrack.camera.source import FORMATS, reader
+    """Formats that `open_sequence` reads, with what some of them need."""
+    told = {}
+    for name in FORMATS:
+        extra = reader(name).extra
+        missing = extra is not None and not installed(extra)
+        told[name] = reader(name).layout + (f" [needs the extra {extra}]" if missing else "")
+    return told
 
-    return {name: reader(name).layout for name in FORMATS}
+
+def _extras() -> dict[str, str]:
+    """Optional parts of this distribution, and how to install those that are missing."""
+    return {
+        extra: "installed" if installed(extra) else f"missing: pip install 'handtrack[{extra}]'"
+        for extra in EXTRAS
+    }
 
 
 def _sha256(path: Path) -> str:

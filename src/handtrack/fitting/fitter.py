@@ -132,7 +132,7 @@ class Fitter:
         self.image.smooth.assign(np.tile(self._smooth, (self.nhand, 1)))
 
     def resize(self, hands: Sequence[ShapedHand]) -> None:
-        """Go on with the same hands at other scales, one per depth image."""
+        """Go on with hands of other shapes, one per depth image."""
         self.hand.resize(hands)
         self.spheres.resize(hands)
 
@@ -188,13 +188,32 @@ class Fitter:
     def run(self) -> None:
         """Refine all rows against the loaded images and score them."""
         self._prepare()
-        if self._pool is not None and all(graph.replays for graph in self._refine):
-            list(self._pool.map(FrameGraph.__call__, self._refine))
+        self.replay(self._refine)
+
+    @property
+    def parts(self) -> list[RowArrays]:
+        """The rows as they are split over host threads."""
+        return self._splits
+
+    def replay(self, graphs: Sequence[FrameGraph]) -> None:
+        """Run one graph per part of the rows, side by side once all are captured."""
+        if self._pool is not None and all(graph.replays for graph in graphs):
+            list(self._pool.map(FrameGraph.__call__, graphs))
         else:
             # Warp captures one graph at a time.
-            for graph in self._refine:
+            for graph in graphs:
                 graph()
         wp.synchronize_device(self.device)
+
+    def launch_linearisation(self, rows: RowArrays) -> None:
+        """Residuals and normal equations of a part at its poses, without a step.
+
+        For fits of more than the pose; `run` must have seen the images.
+        """
+        self._launch_pose(rows)
+        self._launch_match(rows)
+        self._launch_residuals(rows, self.config.robust_scale)
+        self._launch_system(rows)
 
     @property
     def poses(self) -> NDArray[np.float32]:
@@ -257,10 +276,7 @@ class Fitter:
             self._launch_step(rows)
         if config.levenberg:
             # Judge the last step too, and hand back the best pose.
-            self._launch_pose(rows)
-            self._launch_match(rows)
-            self._launch_residuals(rows, config.robust_scale)
-            self._launch_system(rows)
+            self.launch_linearisation(rows)
             self._launch_judgement(rows)
             wp.copy(rows.pose, rows.best_pose)
         self._launch_pose(rows)

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import finger_of_bone
 from handtrack.hand.spheres import finger_spheres
+
+Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,15 +35,15 @@ class CollisionSpheres:
         return self.bones.shape[0]
 
     def resize(self, hands: Sequence[ShapedHand]) -> None:
-        """Overwrite centres and radii, in place, with those of hands that differ in scale alone."""
-        fitted = [finger_spheres(hand) for hand in hands]
+        """Overwrite centres and radii, in place, with those of hands of other shapes."""
+        fitted = [_latest.spheres(hand) for hand in hands]
         self.centres.assign(np.stack([centres for _, centres, _ in fitted]).astype(np.float32))
         self.radii.assign(np.stack([radii for *_, radii in fitted]).astype(np.float32))
 
     @classmethod
     def build(cls, hands: Sequence[ShapedHand], device: wp.Device) -> CollisionSpheres:
         """Fit spheres to each hand's skin, centred in the flesh along every finger bone."""
-        fitted = [finger_spheres(hand) for hand in hands]
+        fitted = [_latest.spheres(hand) for hand in hands]
         bones = fitted[0][0]
         fingers = np.array([finger_of_bone(int(b)) for b in bones])
         first, second = np.triu_indices(len(bones), 1)
@@ -62,3 +65,21 @@ class CollisionSpheres:
             ),
             pairs=wp.array(pairs.astype(np.int32), dtype=int, device=device),
         )
+
+
+class _Latest:
+    """Spheres of the latest hand: it stands for many images, and in many fitters at once."""
+
+    def __init__(self) -> None:
+        self._known: tuple[ShapedHand, tuple[NDArray[np.intp], Float, Float]] | None = None
+
+    def spheres(self, hand: ShapedHand) -> tuple[NDArray[np.intp], Float, Float]:
+        """As `finger_spheres`."""
+        known = self._known
+        if known is None or known[0] is not hand:
+            known = (hand, finger_spheres(hand))
+            self._known = known
+        return known[1]
+
+
+_latest = _Latest()

@@ -9,14 +9,16 @@ the covariance s^2 H^-1. Neither holds, so three things differ here:
   not do: an outline costs a small or distant hand a larger share.
 * **Correlation.** Neighbouring points err alike. A point counts as much as its share of a square
   of `CORRELATION_LENGTH`, and an error of s is common to all of them and stays.
+* **Proportions.** A hand whose shape nobody told is fitted with bones of wrong lengths, which the
+  image hides: a keypoint is uncertain by a share, `PROPORTIONS`, of its distance from the palm.
 * **Hidden joints.** Smoothness holds an unseen finger still, but does not see it: it is left out.
   What nothing was seen of is uncertain by its range: that of its limits for a joint angle.
 
-The constants were fitted on `leap_hand_motion`, worn by eight drawn subjects (seeds 200 to 207) at
-three distances, with the noise of three sensors, each tracked by the model-based tracker with its
-own and with the mean shape. They are round numbers near the least sum of the quantile losses of
-log(error / sigma) for 65 % within one sigma and 95 % within two. What they reach on other motion
-and subjects is told by `handtrack bench tracking`.
+The constants were fitted by `models/fit_uncertainty.py` on `leap_hand_motion`, worn by eight drawn
+subjects (seeds 200 to 207) at three distances, with the noise of three sensors, each tracked by the
+hybrid tracker with its own and with the mean shape. They are round numbers near the least sum of
+the quantile losses of log(error / sigma) for 65 % within one sigma and 95 % within two. What they
+reach on other motion and subjects is told by `handtrack bench tracking`.
 """
 
 from __future__ import annotations
@@ -27,21 +29,31 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handtrack.hand.inverse_kinematics import BonePoints, point_jacobian
+from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 
 Float = NDArray[np.float64]
 
-OUTLINE = 0.1
+OUTLINE = 0.095
 """Length that turns the squared unexplained share of the area seen into a residual scale [m]."""
 
-CORRELATION_LENGTH = 0.0115
+CORRELATION_LENGTH = 0.0078
 """Side of the patch of surface whose points count as one [m]."""
+
+PROPORTIONS = 0.045
+"""Uncertainty of bone lengths where the shape is not known, as a share of them."""
 
 FLOOR = 0.0008
 """Error of a keypoint that no image tells [m]: points are matched to vertices, not surfaces."""
 
 PALM_RANGE = (0.1, 1.0)
 """Uncertainty of the palm's place [m] and rotation [rad] per axis when nothing was seen."""
+
+_REST = np.eye(1, 28, 3)[0]
+"""All angles 0."""
+
+_PALM = [0, 5, 9, 13, 17]
+"""Wrist and the four knuckles."""
 
 _UNIFORM = 12**-0.5
 """Standard deviation of a uniform distribution, in units of its width."""
@@ -60,11 +72,19 @@ class FitInformation:
     """Area of hand and model that the camera sees, across the view [m^2]."""
     spacing: float
     """Distance of neighbouring points of the data term, across the view [m]."""
+    shape_known: bool = True
+    """Whether the hand that was fitted is the person's own."""
 
     @property
     def residual_scale(self) -> float:
         """One sigma of a residual [m]."""
         return self.unexplained**2 * self.area / OUTLINE
+
+    @property
+    def point_precision(self) -> float:
+        """What a point tells, correlation with its neighbours considered [1/m^2]."""
+        share = min((self.spacing / CORRELATION_LENGTH) ** 2, 1.0)
+        return share / max(self.residual_scale, FLOOR) ** 2
 
 
 def keypoint_deviation(hand: ShapedHand, pose: ArrayLike, information: FitInformation) -> Float:
@@ -84,11 +104,10 @@ def keypoint_deviation(hand: ShapedHand, pose: ArrayLike, information: FitInform
         Standard deviations [m], shape (21,); NaN when the fit knew nothing finite.
     """
     scale = information.residual_scale
-    weight = min((information.spacing / CORRELATION_LENGTH) ** 2, 1.0) / max(scale, FLOOR) ** 2
     spread = np.concatenate(
         [np.repeat(PALM_RANGE, 3), _UNIFORM * (hand.limits[:, 1] - hand.limits[:, 0])]
     )
-    precision = weight * information.hessian + np.diag(spread**-2.0)
+    precision = information.point_precision * information.hessian + np.diag(spread**-2.0)
     _, jacobian = point_jacobian(
         hand, BonePoints.of_keypoints(hand), np.asarray(pose, np.float64)[None]
     )
@@ -96,5 +115,8 @@ def keypoint_deviation(hand: ShapedHand, pose: ArrayLike, information: FitInform
         return np.full(jacobian.shape[1], np.nan)
     covariance = np.linalg.inv(precision)
     variances = np.einsum("kai,ij,kaj->k", jacobian[0], covariance, jacobian[0])
+    if not information.shape_known:
+        rest = keypoints(hand, _REST)
+        variances += (PROPORTIONS * np.linalg.norm(rest - rest[_PALM].mean(axis=0), axis=1)) ** 2
     # Rounding must not make a variance negative.
     return np.sqrt(np.maximum(variances, 0.0) + scale**2 + FLOOR**2)

@@ -6,11 +6,13 @@ labelled by whether the hand is in its middle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from handtrack.camera.segmentation import find_hand_regions, wrists_of
@@ -67,6 +69,15 @@ class RegionCrops:
     def __len__(self) -> int:
         return len(self.cells)
 
+    @classmethod
+    def none(cls, cells: int) -> RegionCrops:
+        """No crop, of so many cells along each side."""
+        return cls(
+            cells=np.empty((0, cells, cells), np.uint16), cameras=np.empty((0, 4), np.float32),
+            centres=np.empty((0, 3), np.float32), wrists=np.empty((0, 3), np.float32),
+            is_hand=np.empty(0, np.bool_), frames=np.empty(0, np.int32),
+        )  # fmt: skip
+
 
 def prepare_regions(dataset: DatasetConfig, forest: ForestConfig, folder: Path, *, jobs: int = 1):
     """Make scenes around the hands of a data set and keep the crops of their regions.
@@ -92,7 +103,8 @@ def _write_shard(dataset: DatasetConfig, forest: ForestConfig, folder: Path, sta
     made = SyntheticDataset(dataset, device="cpu")
     maker = SceneMaker(made)
     cropper = Cropper(dataset.camera, forest, MAX_REGIONS, device=resolve_device("cpu"))
-    parts: dict[str, list[NDArray]] = {field.name: [] for field in fields(RegionCrops)}
+    none = RegionCrops.none(forest.crop_cells)
+    parts = {field.name: [getattr(none, field.name)] for field in fields(RegionCrops)}
     for number in range(start, min(start + SHARD_FRAMES, len(dataset))):
         depth, middle = maker.scene(number)
         regions = find_hand_regions(depth, dataset.camera, max_regions=MAX_REGIONS)
@@ -122,14 +134,19 @@ def _write_shard(dataset: DatasetConfig, forest: ForestConfig, folder: Path, sta
 class SceneMaker:
     """Draws scenes with and without the hands of a data set."""
 
-    def __init__(self, dataset: SyntheticDataset) -> None:
+    def __init__(
+        self, dataset: SyntheticDataset, *, cups: Sequence[trimesh.Trimesh] | None = None
+    ) -> None:
         """Prepare.
 
         Args:
             dataset: Hands with their forearms; scene i shows sample i, or none.
+            cups: Cups that may stand in a scene; one usual cup when None.
         """
         self._dataset, self._camera = dataset, dataset.config.camera
-        self._cup = MeshRenderer(cup_mesh(), self._camera, device="cpu")
+        self._cups = [
+            MeshRenderer(mesh, self._camera, device="cpu") for mesh in (cups or [cup_mesh()])
+        ]
         self._scene = DepthScene(self._camera)
 
     def scene(self, number: int) -> tuple[NDArray[np.float32], Float | None]:
@@ -193,7 +210,8 @@ class SceneMaker:
         rotation = random_rotation(rng)
         shape = rng.integers(4)
         if shape == 0:
-            self._scene.add_image(self._cup.render(rotation, place))
+            cup = self._cups[int(rng.integers(len(self._cups))) if len(self._cups) > 1 else 0]
+            self._scene.add_image(cup.render(rotation, place))
         elif shape == 1:
             self._scene.add_ellipsoid(place, rotation, rng.uniform(0.025, 0.08, 3))
         elif shape == 2:

@@ -36,10 +36,10 @@ class DeviceHand:
     """Numbers of the vertices that are there."""
 
     def resize(self, hands: Sequence[ShapedHand]) -> None:
-        """Overwrite the lengths, in place, with those of hands that differ in scale alone."""
-        for name in ("local_vertices", "bone_origins", "tip_offsets"):
+        """Overwrite lengths and normals, in place, with those of hands of other shapes."""
+        for name in ("local_vertices", "local_normals", "bone_origins", "tip_offsets"):
             values = np.stack([getattr(hand, name) for hand in hands]).astype(np.float32)
-            if name == "local_vertices":
+            if name in ("local_vertices", "local_normals"):
                 values = np.ascontiguousarray(values[:, self.kept])
             getattr(self, name).assign(values)
 

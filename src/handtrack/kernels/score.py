@@ -1,4 +1,4 @@
-"""Depth error between rendered and observed depth (Eq. II.19), and the best row of each hand."""
+"""Depth error between rendered and observed depth (Eq. II.19)."""
 
 from __future__ import annotations
 
@@ -110,26 +110,6 @@ def _score_depth_tiled(
         errors_out[rowid] = wp.where(counts[0] > 0, totals[0] / float(wp.max(counts[0], 1)), cap)
 
 
-@wp.kernel
-def _pick_rows(
-    # in
-    hand_rows_in: wp.array2d[int],
-    costs_in: wp.array[float],
-    # out
-    best_out: wp.array[int],
-):
-    """One hand: the row of the lowest finite cost."""
-    hand = wp.tid()
-    best = hand_rows_in[hand, 0]
-    lowest = float(wp.inf)
-    for k in range(hand_rows_in.shape[1]):
-        rowid = hand_rows_in[hand, k]
-        if rowid >= 0 and costs_in[rowid] < lowest:
-            lowest = costs_in[rowid]
-            best = rowid
-    best_out[hand] = best
-
-
 def score_depth(
     row_hand: wp.array,
     keys: wp.array,
@@ -178,20 +158,3 @@ def score_depth(
             outputs=[errors, counts],
             device=errors.device,
         )
-
-
-def pick_rows(hand_rows: wp.array, costs: wp.array, *, best: wp.array) -> None:
-    """Row of the lowest cost of each hand.
-
-    Args:
-        hand_rows: Rows of each hand, -1 for none, shape (nhand, nhyp).
-        costs: Cost of each row, shape (nrow,).
-        best: Out: best row, shape (nhand,).
-    """
-    wp.launch(
-        _pick_rows,
-        dim=best.shape[0],
-        inputs=[hand_rows, costs],
-        outputs=[best],
-        device=best.device,
-    )

@@ -5,6 +5,9 @@ from __future__ import annotations
 LEVEL_RATE = 0.05
 """Share of a frame's depth error in its running level: about 20 frames of memory."""
 
+SUSPECT_PERIOD = 3
+"""Frames between doubts of a pose that something else speaks against."""
+
 
 class Doubt:
     """Watches the depth error over frames."""
@@ -37,15 +40,20 @@ class Doubt:
         """Whether the track is new and has not explained a frame well yet."""
         return not self._explained and self._age <= self._young
 
-    def arises(self, error: float) -> bool:
-        """Whether the pose of this frame is to be doubted; once per frame."""
+    def arises(self, error: float, *, suspected: bool = False) -> bool:
+        """Whether the pose of this frame is to be doubted; once per frame.
+
+        Args:
+            error: Its depth error [m].
+            suspected: Whether something else speaks against the pose, whatever its error.
+        """
         self._since += 1
         self._age += 1
-        if error <= self._error:
+        if error <= self._error and not suspected:
             self._explained = True
             return False
         jumped = self._level is not None and error > self._jump * self._level
-        period = 1 if self.young else self._period
+        period = 1 if self.young else SUSPECT_PERIOD if suspected else self._period
         if not jumped and self._since < period:
             return False
         self._since = 0

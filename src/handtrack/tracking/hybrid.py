@@ -8,6 +8,7 @@ for in several regions of the whole scene.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
 from handtrack.fitting.config import THESIS, FitConfig
 from handtrack.fitting.fitter import Fitter
+from handtrack.fitting.uncertainty import FitInformation
 from handtrack.forest.artifact import Forest
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
@@ -29,16 +31,16 @@ from handtrack.tracking.candidates import (
     misplacement,
 )
 from handtrack.tracking.doubt import Doubt
+from handtrack.tracking.judge import HandJudge
+from handtrack.tracking.patience import Patience
 from handtrack.tracking.rescue import restart_poses
-from handtrack.tracking.scene_search import Found, SceneSearch, SearchConfig
+from handtrack.tracking.scene_search import Found, SceneSearch, SearchConfig, search_until
 from handtrack.tracking.size_probe import SizeProbe
 from handtrack.tracking.stepper import Estimate
+from handtrack.tracking.trust import Trust, TrustConfig
 from handtrack.transforms import apply_increment, pose_difference
 
 Float = NDArray[np.float64]
-
-LEAST_TRUST = 0.35
-"""Share of `accept_error` that counts as explained even where no hand is expected."""
 
 BATCH = 8
 """Independent frames searched at a time by `find_all`."""
@@ -82,11 +84,12 @@ class HybridConfig:
     """lambda_2 of Eq. II.20: cost [m] of a squared change of pose by one radian or decimetre."""
     seek_error: float = 0.012
     """Depth error above which the whole scene is searched too [m]."""
-    accept_error: float = 0.014
-    """Depth error below which a hand counts as found where there was none [m]."""
-    accept_presence: float = 0.25
-    """Chance of holding a hand, by forest and segmentation, below which a place must be explained
-    the better the smaller its chance."""
+    judged: bool = True
+    """Ask, beyond the depth error, whether what is tracked is a hand; see `Trust`."""
+    attempts: int = 3
+    """Searches of a new scene, at most, while the judge is not convinced."""
+    trust: TrustConfig = field(default_factory=TrustConfig)
+    """When it is taken for one."""
     lost_error: float = 0.016
     """tau of Eq. II.19: depth error above which the hand counts as lost [m]."""
 
@@ -98,7 +101,12 @@ class HybridConfig:
         """
         if not 0 <= self.velocity <= 2:
             raise InputError(f"velocity is {self.velocity}; expected 0 to 2")
-        for name, least in (("restarts", 0), ("finalists", 1), ("presence_weight", 0)):
+        for name, least in (
+            ("restarts", 0),
+            ("finalists", 1),
+            ("presence_weight", 0),
+            ("attempts", 1),
+        ):
             if getattr(self, name) < least:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least {least}")
         if self.doubt_jump < 1 or self.doubt_period < 1 or self.doubt_error < 0:
@@ -111,7 +119,7 @@ class HybridConfig:
                 f"gain and temporal_weight are {self.gain} and {self.temporal_weight}; expected 0"
                 " to 1 and at least 0"
             )
-        for name in ("seek_error", "accept_error", "lost_error"):
+        for name in ("seek_error", "lost_error"):
             if not 0 < getattr(self, name) <= self.fit.score_cap:
                 raise InputError(
                     f"{name} is {getattr(self, name)}; expected up to score_cap"
@@ -129,7 +137,7 @@ class HybridConfig:
 
 THESIS_HYBRID = HybridConfig(
     fit=THESIS, search=THESIS, always=True, velocity=0.0, restarts=0, finalists=1,
-    presence_weight=0.0, adapt_size=False, scene=SearchConfig(regions=1, rounds=0),
+    presence_weight=0.0, adapt_size=False, judged=False, scene=SearchConfig(regions=1, rounds=0),
 )  # fmt: skip
 """Steps 1 to 6 of II.5.1 with the thesis' own energy, and nothing else."""
 
@@ -178,6 +186,10 @@ class TrackerHybrid:
         self._probe: SizeProbe | None = None
         if config.adapt_size:
             self._probe = SizeProbe(hand, camera, fit=config.fit, **self._options)
+        self._sizing = self._probe is not None
+        self._judge = HandJudge(hand, camera, device=device) if config.judged else None
+        self._trust = Trust(config.trust)
+        self._patience = Patience()
         self._seed = seed
         self._doubt = Doubt(
             error=config.doubt_error,
@@ -199,6 +211,8 @@ class TrackerHybrid:
         self._motion = np.zeros(NV)
         self._rng = np.random.default_rng(self._seed)
         self._doubt.forget()
+        self._trust.forget(known=pose is not None)
+        self._patience.forget()
 
     def forget(self) -> None:
         """Start from nothing, with a hand of unknown size; see `Stepper`."""
@@ -207,44 +221,62 @@ class TrackerHybrid:
             self._probe.forget()
             self._resize()
 
+    def reshape(self, hand: ShapedHand, *, known_shape: bool) -> None:
+        """Go on with another hand; see `Reshapable`."""
+        self._base = hand
+        if self._probe is not None:
+            self._probe.reshape(hand)
+            self._sizing = not known_shape
+        self._resize()
+
     def _resize(self) -> None:
-        """Go on with the size that the probe has found."""
-        assert self._probe is not None
-        self._hand = self._base.scaled(self._probe.size)
+        """Go on with the hand as it was given, at the size that the probe has found."""
+        size = 1.0 if self._probe is None else self._probe.size
+        self._hand = self._base.scaled(size)
         self._follower.resize([self._hand])
-        for part in (self._near, self._scene):
-            part.resize(self._hand)
-        # Depth errors of another size do not compare.
+        for part in (self._near, self._scene, self._batch, self._judge):
+            if part is not None:
+                part.resize(self._hand)
+        # Depth errors of another hand do not compare.
         self._doubt.forget_level()
 
     def step(self, depth: NDArray[np.float32], *, fallback: Float | None = None) -> Estimate:
         """Find the hand in the next frame; see `Stepper`."""
         config, clock = self.config, _Clock()
+        if self._patience.refused and not self._sure:
+            waits = self._patience.waits(self._places(depth))
+            clock.lap("scene")
+            if waits:
+                return self._estimate(None, False, clock.spans)
         if config.always:
             found, doubted = self._search_as_thesis(depth), True
             clock.lap("search")
         else:
             found = self._follow(depth, fallback)
             clock.lap("follow")
-            doubted = found is None or self._doubt.arises(found.error) or not self._sure
+            doubted = (
+                found is None
+                or self._doubt.arises(found.error, suspected=self._trust.doubtful)
+                or not self._sure
+            )
             if doubted and found is not None:
                 found = self._search_near(depth, found)
                 clock.lap("near")
-            if doubted and (found is None or found.error > config.seek_error):
+            if doubted and (
+                found is None
+                or found.error > config.seek_error
+                or (not self._sure and self._trust.doubtful)
+            ):
                 found = self._search_scene(depth, found)
                 clock.lap("scene")
         first_sight = not self._sure
-        if self._probe is not None and found is not None:
-            if first_sight:
-                changed = self._probe.settle(depth, found.pose)
-            else:
-                changed = not doubted and self._probe.watch(depth, found.pose)
-            if changed:
-                self._resize()
-                again = self._fit(depth, np.stack([found.pose] * self._follower.nrow))
-                found = replace(again, presence=found.presence)
+        if found is not None:
+            found, resized = self._sized(depth, found, settle=first_sight, watch=not doubted)
             clock.lap("size")
-        estimate = self._judged(found, first_sight, clock.spans)
+            if self._judge is not None and (doubted or resized or self._trust.due):
+                self._trust.hear(self._odds(depth, found))
+                clock.lap("judge")
+        estimate = self._estimate(found, self._believed, clock.spans)
         self._motion = np.zeros(NV)
         if found is not None:
             if self._sure and self._pose is not None:
@@ -252,27 +284,70 @@ class TrackerHybrid:
             self._doubt.remember(found.error)
             if first_sight:
                 self._doubt.forget()
+        lost = self._sure and not estimate.found
         self._pose, self._sure = estimate.pose, estimate.found
+        if lost:
+            self._trust.forget(known=False)
+        elif not self._sure and self._trust.refuses:
+            # Nothing to go on from: the next search starts from scratch.
+            self._patience.refuse(self._places(depth))
+            self._trust.forget(known=False)
+            self._pose = None
+        else:
+            self._patience.forget()
         return estimate
 
-    def _judged(
-        self, found: Found | None, first_sight: bool, timings: dict[str, float]
-    ) -> Estimate:
-        """Whether a pose explains its frame (Eq. II.19); at first sight more is asked of it."""
+    def _places(self, depth: NDArray[np.float32]) -> Float:
+        """Middles of the places where a hand may be [m], shape (n, 3)."""
+        (regions,) = self._scene.regions(depth[None])
+        return np.array([region.centre for region in regions]).reshape(-1, 3)
+
+    @property
+    def _believed(self) -> bool:
+        """Whether the track counts as a hand."""
+        return self._judge is None or self._trust.believes(sure=self._sure)
+
+    def _odds(self, depth: NDArray[np.float32], found: Found) -> float:
+        """The judge's log-odds of a pose; beyond all doubt without a judge."""
+        if self._judge is None:
+            return np.inf
+        return self._judge.log_odds(depth, found.pose, found.error, found.presence)
+
+    def _sized(
+        self, depth: NDArray[np.float32], found: Found, *, settle: bool, watch: bool
+    ) -> tuple[Found, bool]:
+        """The pose of a hand of better size, and whether the size has changed."""
+        if self._probe is None or not self._sizing:
+            return found, False
+        if settle:
+            changed = self._probe.settle(depth, found.pose)
+        else:
+            changed = watch and self._probe.watch(depth, found.pose)
+        if not changed:
+            return found, False
+        self._resize()
+        again = self._fit(depth, np.stack([found.pose] * self._follower.nrow))
+        return replace(again, presence=found.presence), True
+
+    def _estimate(self, found: Found | None, believed: bool, timings: dict[str, float]) -> Estimate:
+        """What to report of a pose: it must explain its frame (Eq. II.19), and be a hand's."""
         if found is None:
             return Estimate(
                 pose=None, depth_error=np.nan, found=False, timings=timings,
                 problem="nothing in view has the size of a hand",
             )  # fmt: skip
-        config = self.config
-        limit = config.lost_error
-        if first_sight:
-            likely = np.clip(found.presence / config.accept_presence, LEAST_TRUST, 1.0)
-            limit = config.accept_error * float(likely)
+        explained = found.error < self.config.lost_error
         return Estimate(
-            pose=found.pose, depth_error=found.error, found=found.error < limit,
-            information=found.information, hand=self._hand, timings=timings,
+            pose=found.pose, depth_error=found.error, found=explained and believed,
+            information=self._informed(found.information), hand=self._hand, timings=timings,
+            problem="what is in view hardly looks like a hand" if explained else None,
         )  # fmt: skip
+
+    def _informed(self, information: FitInformation | None) -> FitInformation | None:
+        """What the fit knew, and whether it knew the person's hand."""
+        if information is None:
+            return None
+        return replace(information, shape_known=not self._sizing)
 
     def _follow(self, depth: NDArray[np.float32], fallback: Float | None) -> Found | None:
         """The last pose and its extrapolation, or the last good pose, fitted."""
@@ -292,14 +367,30 @@ class TrackerHybrid:
         centre = keypoints(self._hand, tracked.pose).mean(axis=0)
         candidates = self._near.run(depth, centre[None], extra=pool)
         (found,) = self._scene.finish(depth[None], [candidates], self._costs)
-        return self._better(tracked, found)
+        # What the forest says of a place means something for places that segmentation proposed.
+        return self._better(tracked, replace(found, presence=None))
 
     def _search_scene(self, depth: NDArray[np.float32], tracked: Found | None) -> Found | None:
         """The best candidate of the whole scene, or the tracked pose when that is better."""
-        (found,) = self._scene.run(depth[None], self._costs, self._rng)
+        fresh = tracked is None and not self._patience.refused
+        ((found, odds),) = self._find(self._scene, depth[None], thoroughly=fresh)
         if found is None or tracked is None:
             return found or tracked
-        return self._better(tracked, found)
+        if self._judge is None or self._sure:
+            return self._better(tracked, found)
+        if odds < self._trust.odds:
+            return tracked
+        self._trust.forget(known=False)
+        return found
+
+    def _find(
+        self, scene: SceneSearch, depths: NDArray[np.float32], *, thoroughly: bool
+    ) -> list[tuple[Found | None, float]]:
+        """The likeliest pose in every frame, with its log-odds; see `search_until`."""
+        return search_until(
+            scene, depths, self._hand, self._costs, self._rng, odds=self._odds,
+            convinced=self._trust.convinced, attempts=self.config.attempts if thoroughly else 1,
+        )  # fmt: skip
 
     def _better(self, tracked: Found, found: Found) -> Found:
         """The tracked pose, unless the other one costs clearly less (Eq. II.20)."""
@@ -322,14 +413,26 @@ class TrackerHybrid:
         self.forget()
         if self._batch is None:
             self._batch = self._scene_search(BATCH)
-        estimates: list[Estimate] = []
-        for first in range(0, len(depths), BATCH):
-            part = np.zeros((BATCH, *depths.shape[1:]), np.float32)
-            count = min(BATCH, len(depths) - first)
-            part[:count] = depths[first : first + count]
-            found = self._batch.run(part, self._costs, self._rng)[:count]
-            estimates += [self._judged(one, True, {}) for one in found]
-        return estimates
+        return [
+            self._estimate(found, self._trust.believes_alone(odds), {})
+            for found, odds in self._find(self._batch, depths, thoroughly=True)
+        ]
+
+    def first_looks(self, depth: NDArray[np.float32]) -> Iterator[tuple[Found, ShapedHand]]:
+        """What is found in a frame alone, before and after its size is adapted, and whose it is.
+
+        The judge learns from it; see `models/build_judge.py`.
+
+        Args:
+            depth: Clean depth [m], shape (height, width).
+        """
+        self.forget()
+        found = self._search_scene(depth, None)
+        if found is not None:
+            yield found, self._hand
+            found, resized = self._sized(depth, found, settle=True, watch=False)
+            if resized:
+                yield found, self._hand
 
     def _costs(self, candidates: Candidates) -> Float:
         """E_c of Eq. II.20 [m], with what the forest says and what E_d cannot see."""
@@ -351,7 +454,7 @@ class TrackerHybrid:
         candidates = self._near.run(depth, centre[None], extra=last[None], reference=last)
         best = int(np.argmin(self._costs(candidates)))
         return Found(
-            pose=candidates.poses[best], error=float(candidates.errors[best]), presence=1.0,
+            pose=candidates.poses[best], error=float(candidates.errors[best]), presence=None,
             information=None,
         )  # fmt: skip
 
@@ -366,7 +469,7 @@ class TrackerHybrid:
     def _fit(self, depth: NDArray[np.float32], starts: Float) -> Found:
         """The lowest depth error among the followed poses."""
         pose, error, information = fit_best(self._follower, self._hand, depth, starts)
-        return Found(pose=pose, error=error, presence=1.0, information=information)
+        return Found(pose=pose, error=error, presence=None, information=information)
 
 
 class _Clock:

@@ -147,6 +147,16 @@ class TrackerModelBased:
         """Start from nothing; see `Stepper`."""
         self.start(None)
 
+    def reshape(self, hand: ShapedHand, *, known_shape: bool) -> None:
+        """Go on with another hand; see `Reshapable`."""
+        del known_shape
+        self._hand = hand
+        for used in (self._fitter, self._rescuer):
+            if used is not None:
+                used.resize([hand])
+        # Depth errors of another hand do not compare.
+        self._doubt.forget_level()
+
     def step(
         self, depth: NDArray[np.float32], *, fallback: NDArray[np.float64] | None = None
     ) -> Estimate:

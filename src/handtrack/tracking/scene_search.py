@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
 from handtrack.camera.segmentation import HandRegion, find_hand_regions, wrists_of
+from handtrack.errors import InputError
 from handtrack.fitting.config import FitConfig
 from handtrack.fitting.uncertainty import FitInformation
 from handtrack.forest.artifact import Forest
+from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.tracking.candidates import (
     Candidates,
@@ -26,6 +28,9 @@ from handtrack.tracking.candidates import (
 )
 
 Float = NDArray[np.float64]
+
+ELSEWHERE = 0.08
+"""Places farther than this from a pose are others [m]."""
 
 Cost = Callable[[Candidates], Float]
 """Cost of each candidate [m]."""
@@ -39,8 +44,8 @@ class Found:
     """Pose, shape (28,)."""
     error: float
     """Depth error E_d [m]."""
-    presence: float
-    """Chance that a hand is in the place where it was found."""
+    presence: float | None
+    """Chance that a hand is in the place where it was found; None when that was not asked."""
     information: FitInformation | None
     """What the fit knew of it."""
 
@@ -57,6 +62,16 @@ class SearchConfig:
     """Poses refined per round."""
     elites: int = 6
     """Candidates that each round starts from."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            InputError: A setting is out of range.
+        """
+        for name, least in (("regions", 1), ("rounds", 0), ("rows", 1), ("elites", 1)):
+            if getattr(self, name) < least:
+                raise InputError(f"{name} is {getattr(self, name)}; expected at least {least}")
 
 
 class SceneSearch:
@@ -115,19 +130,23 @@ class SceneSearch:
                 part.resize(hand)
 
     def run(
-        self, depths: NDArray[np.float32], cost: Cost, rng: np.random.Generator
+        self,
+        depths: NDArray[np.float32],
+        regions: list[list[HandRegion]],
+        cost: Cost,
+        rng: np.random.Generator,
     ) -> list[Found | None]:
         """Search every frame.
 
         Args:
             depths: Clean depth [m], shape (frames, height, width).
+            regions: Where, in each of them; see `regions`.
             cost: What the candidates are compared by.
             rng: Source of the random numbers.
 
         Returns:
             The best pose of each frame; None where nothing has the size of a hand.
         """
-        regions = self._regions(depths)
         empty = [not one for one in regions]
         if all(empty):
             return [None] * self.frames
@@ -184,7 +203,7 @@ class SceneSearch:
         known = regions or [_NOWHERE]
         return known + [known[0]] * (self._config.regions - len(known))
 
-    def _regions(self, depths: NDArray[np.float32]) -> list[list[HandRegion]]:
+    def regions(self, depths: NDArray[np.float32]) -> list[list[HandRegion]]:
         """Regions of each frame, the most plausible first."""
 
         def find(depth: NDArray[np.float32]) -> list[HandRegion]:
@@ -197,3 +216,61 @@ class SceneSearch:
 
 _NOWHERE = HandRegion(centre=np.array([0.0, 0.0, 0.5]), radius=0.1, box=(0, 0, 0, 0))
 """Stands for the regions of a frame without any, in batches."""
+
+
+def search_until(
+    scene: SceneSearch,
+    depths: NDArray[np.float32],
+    hand: ShapedHand,
+    cost: Cost,
+    rng: np.random.Generator,
+    *,
+    odds: Callable[[NDArray[np.float32], Found], float],
+    convinced: Callable[[float], bool],
+    attempts: int,
+) -> list[tuple[Found | None, float]]:
+    """Search frames again, with new restarts and every other time elsewhere, until one convinces.
+
+    Args:
+        scene: Searches some frames at a time.
+        depths: Clean depth [m], shape (n, height, width).
+        hand: The person's hand.
+        cost: What candidates are compared by.
+        rng: Source of the random numbers.
+        odds: Log-odds that a pose is a hand in an image.
+        convinced: Whether log-odds are good enough to stop.
+        attempts: Searches of a frame, at most.
+
+    Returns:
+        The likeliest pose of each frame and its log-odds; None where nothing has the size of a
+        hand.
+    """
+    best: list[tuple[Found | None, float]] = [(None, -np.inf)] * len(depths)
+    regions = scene.regions(depths)
+    pending = [k for k in range(len(depths)) if regions[k]]
+    for attempt in range(attempts):
+        for first in range(0, len(pending), scene.frames):
+            chosen = pending[first : first + scene.frames]
+            part = np.zeros((scene.frames, *depths.shape[1:]), np.float32)
+            part[: len(chosen)] = depths[chosen]
+            places = [regions[k] for k in chosen]
+            if attempt % 2:
+                places = [_elsewhere(regions[k], best[k][0], hand) for k in chosen]
+            places += [[]] * (scene.frames - len(chosen))
+            for k, found in zip(chosen, scene.run(part, places, cost, rng), strict=False):
+                assert found is not None
+                likely = odds(depths[k], found)
+                if best[k][0] is None or likely > best[k][1]:
+                    best[k] = (found, likely)
+        pending = [k for k in pending if not convinced(best[k][1])]
+    return best
+
+
+def _elsewhere(
+    regions: list[HandRegion], found: Found | None, hand: ShapedHand
+) -> list[HandRegion]:
+    """Regions away from a pose that does not convince; all where there are no others."""
+    assert found is not None
+    middle = keypoints(hand, found.pose).mean(axis=0)
+    others = [one for one in regions if np.linalg.norm(one.centre - middle) > ELSEWHERE]
+    return others or regions

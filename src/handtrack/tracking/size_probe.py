@@ -68,6 +68,11 @@ class SizeProbe:
         self._fitter.warm_up()
         self.forget()
 
+    def reshape(self, hand: ShapedHand) -> None:
+        """Start anew with another hand at size 1."""
+        self._hand = hand
+        self.forget()
+
     def forget(self) -> None:
         """Start anew at size 1."""
         self.size = 1.0

@@ -77,6 +77,21 @@ class Finder(Protocol):
         ...
 
 
+@runtime_checkable
+class Reshapable(Protocol):
+    """A method that can go on with a hand of another shape."""
+
+    def reshape(self, hand: ShapedHand, *, known_shape: bool) -> None:
+        """Go on with another hand of the same side.
+
+        Args:
+            hand: The hand.
+            known_shape: Whether it is the person's own; else its size is still looked for by
+                methods that do so.
+        """
+        ...
+
+
 class TrackerConfig(Protocol):
     """Settings of a tracking method, which make the method."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ from handtrack.tracking.hybrid import THESIS_HYBRID, HybridConfig
 from handtrack.tracking.model_based import THESIS_TRACKER, ModelBasedConfig
 from handtrack.tracking.pso import PsoConfig
 from handtrack.tracking.result import HandResult, TrackState
-from handtrack.tracking.stepper import Estimate, Finder, TrackerConfig
+from handtrack.tracking.shape_adaption import ShapeAdaption
+from handtrack.tracking.stepper import Estimate, Finder, Reshapable, TrackerConfig
 
 FORGET_FRAMES = 10
 """So many frames in a row without the hand, and it is gone: NO_HAND rather than LOST."""
@@ -59,6 +61,7 @@ class HandTracker:
         seed: int = 0,
         model: HandModel | None = None,
         graph: bool = True,
+        adapt_shape: bool = False,
     ) -> None:
         """Allocate for a camera and a person's hand.
 
@@ -72,6 +75,8 @@ class HandTracker:
             seed: Seed of whatever is random: the restarts after a loss.
             model: The parametric hand; the one that comes with handtrack when None.
             graph: False launches eagerly, for debugging.
+            adapt_shape: Find the whole shape of the hand while tracking, starting from `shape`, and
+                keep it once it is sure; without, only the size of a hand without shape is found.
 
         Raises:
             InputError: An argument is unusable.
@@ -81,7 +86,8 @@ class HandTracker:
             raise InputError(f"tracker is {tracker!r}; expected one of {', '.join(TRACKERS)}")
         self.camera, self.seed = camera, seed
         self.side: Side = check_side(side)
-        self.hand = (model if model is not None else HandModel.load()).shaped(shape, side=side)
+        self._model = model if model is not None else HandModel.load()
+        self.hand = self._model.shaped(shape, side=side)
         self._tracker = (config or TRACKERS[tracker]).make(
             self.hand,
             camera,
@@ -90,7 +96,13 @@ class HandTracker:
             seed=seed,
             graph=graph,
         )
-        self._made_hand = self.hand
+        self._made_hand, self._made_shape = self.hand, shape
+        self._adaption: ShapeAdaption | None = None
+        if adapt_shape:
+            self._changeable()
+            self._adaption = ShapeAdaption(
+                self._model, camera, side=side, start=shape, device=device, graph=graph
+            )
         self._buffer = np.zeros(camera.shape, np.float32)
         self._forget(None)
 
@@ -98,6 +110,19 @@ class HandTracker:
     def size(self) -> float:
         """Overall scale of the hand now, against the shape it was made with."""
         return float(self.hand.bone_lengths[0] / self._made_hand.bone_lengths[0])
+
+    @property
+    def shape(self) -> HandShape:
+        """Shape of the hand now: as it was given, at the size or in the shape found since."""
+        if self._adaption is not None and self._adaption.begun:
+            return self._adaption.shape
+        given = self._made_shape if self._made_shape is not None else HandShape()
+        return given if self.size == 1.0 else replace(given, scale=given.scale * self.size)
+
+    @property
+    def shape_frozen(self) -> bool:
+        """Whether shape adaption is sure of the shape, and has ended."""
+        return self._adaption is not None and self._adaption.frozen
 
     @property
     def automatic(self) -> bool:
@@ -111,11 +136,35 @@ class HandTracker:
             InputError: The pose is not 28 finite numbers with a quaternion.
         """
         good = None if pose is None else _check_pose(pose)
+        if self._adaption is not None and self._adaption.begun:
+            known = self._made_shape is not None
+            self._changeable().reshape(self._made_hand, known_shape=known)
+            self._adaption.forget()
         self.hand = self._made_hand
         self._forget(good)
         self._tracker.forget()
         if good is not None:
             self._tracker.start(good)
+
+    def reshape(self, shape: HandShape) -> None:
+        """Forget the past and go on with the hand of a known shape, which is not adapted.
+
+        Raises:
+            InputError: The tracker is bound to the hand that it was made with.
+        """
+        tracker = self._changeable()
+        self._made_hand, self._made_shape = self._model.shaped(shape, side=self.side), shape
+        self._adaption = None
+        tracker.reshape(self._made_hand, known_shape=True)
+        self.reset()
+
+    def _changeable(self) -> Reshapable:
+        """The tracker, if it can change its hand."""
+        if not isinstance(self._tracker, Reshapable):
+            raise InputError(
+                "this tracker is bound to its hand; hybrid and model_based can change it"
+            )
+        return self._tracker
 
     def track(self, depth: Any) -> HandResult:
         """Find the hand in the next frame.
@@ -145,10 +194,24 @@ class HandTracker:
             again = self._missed_frames > 0 and self._good is not None
             self._state = TrackState.RECOVERED if again else TrackState.TRACKING
             self._good, self._missed_frames = estimate.pose, 0
-            return self._result(
+            result = self._result(
                 estimate.pose, estimate.depth_error, None, timings, estimate.information
             )
+            self._adapt(clean, result)
+            return result
         return self._missed(estimate.depth_error, _problem(estimate), timings)
+
+    def _adapt(self, depth: NDArray[np.float32], result: HandResult) -> None:
+        """Let the next frame see a hand that is shaped more like the person's."""
+        if self._adaption is None:
+            return
+        begin = time.perf_counter()
+        hand = self._adaption.watch(depth, result, self.size)
+        if hand is not None:
+            self._changeable().reshape(hand, known_shape=True)
+            self.hand = hand
+        result.timings["shape"] = 1e3 * (time.perf_counter() - begin)
+        result.timings["total"] += result.timings["shape"]
 
     def track_batch(self, depths: Iterable[Any]) -> list[HandResult]:
         """Find the hand in independent frames: no memory is used, and none is kept.

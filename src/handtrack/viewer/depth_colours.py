@@ -55,12 +55,24 @@ def colour_depth(depth: ArrayLike, near: float, far: float, *, grey: bool = Fals
     if not near < far:
         raise InputError(f"near is {near} and far {far}: expected near < far")
     z = np.nan_to_num(np.asarray(depth, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    bright = 1.0 - (1.0 - _DARKEST) * np.clip((z - near) / (far - near), 0.0, 1.0)
-    levels = np.rint(255 * bright).astype(np.uint8)
-    # The maps of Smith and van der Walt rise evenly in perceived lightness.
-    picture = (_GREYS if grey else _COLOURS)[levels]
-    picture[z <= 0] = EMPTY_COLOUR
-    return picture
+    # From 255 at the near end down to the darkest level, rounded.
+    fall = 255 * (1.0 - _DARKEST) / (far - near)
+    levels = (255.5 + fall * near) - fall * z
+    np.clip(levels, 255 * _DARKEST + 0.5, 255.0, out=levels)
+    # The maps of Smith and van der Walt rise evenly in perceived lightness. Level 0 is free.
+    return _paint(np.where(z > 0, levels, 0.0).astype(np.uint8), _GREYS if grey else _COLOURS)
+
+
+def _paint(levels: NDArray[np.uint8], colours: Image) -> Image:
+    """Colours, shape (256, 3), of levels, shape (height, width); OpenCV is quicker than NumPy."""
+    return np.asarray(cv2.LUT(cv2.merge([levels] * 3), colours[None]), np.uint8)
+
+
+def _with_empty(colours: Image) -> Image:
+    """A map whose level 0 is the colour of pixels without a measurement."""
+    colours = colours.copy()
+    colours[0] = EMPTY_COLOUR
+    return colours
 
 
 def _greys() -> Image:
@@ -71,6 +83,8 @@ def _greys() -> Image:
     )
 
 
-_GREYS = _greys()
+_GREYS = _with_empty(_greys())
 _RAMP = np.arange(256, dtype=np.uint8)[:, None]
-_COLOURS: Image = np.asarray(cv2.applyColorMap(_RAMP, cv2.COLORMAP_MAGMA), np.uint8)[:, 0]
+_COLOURS: Image = _with_empty(
+    np.asarray(cv2.applyColorMap(_RAMP, cv2.COLORMAP_MAGMA), np.uint8)[:, 0]
+)

@@ -15,7 +15,7 @@ from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
-from handtrack.hand.skeleton import FINGERS, NQ
+from handtrack.hand.skeleton import FINGERS, NKEYPOINT, NQ
 from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.tracking.result import HandResult, TrackState
 from handtrack.viewer.depth_colours import EMPTY_COLOUR, Image, colour_depth, depth_range
@@ -257,7 +257,7 @@ class OverlayPainter:
 
 
 def draw_skeleton(
-    picture: Image, pixels: NDArray[np.float64], *, size: float = 1.0, faded: bool = False
+    picture: Image, pixels: NDArray[np.floating], *, size: float = 1.0, faded: bool = False
 ) -> None:
     """Draw bones and keypoints, coloured by finger.
 
@@ -269,25 +269,25 @@ def draw_skeleton(
     """
     size = min(max(size, 0.5), 4.0)
     line, dot = max(1, round(2 * size)), 3.6 * size
+    places = _subpixels(pixels, picture)
     for finger in range(len(FINGERS)):
         chain = [0, *range(1 + 4 * finger, 5 + 4 * finger)]
         colour = (150, 150, 150) if faded else FINGER_COLOURS[finger]
         for a, b in pairwise(chain):
-            if np.isfinite(pixels[[a, b]]).all():
-                start, end = _subpixel(pixels[a], picture), _subpixel(pixels[b], picture)
+            start, end = places[a], places[b]
+            if start is not None and end is not None:
                 for width, ink in ((line + 2, (25, 25, 25)), (line, colour)):
                     cv2.line(picture, start, end, ink, width, cv2.LINE_AA, _SUBPIXEL_BITS)
-    for k in np.argsort([k == 0 for k in range(21)], kind="stable"):
-        if not np.isfinite(pixels[k]).all():
+    for k in (*range(1, NKEYPOINT), 0):
+        place = places[k]
+        if place is None:
             continue
         colour = WRIST_COLOUR if k == 0 else FINGER_COLOURS[(k - 1) // 4]
         if faded:
             colour = (170, 170, 170)
         for radius, ink in ((dot + 1.2, (25, 25, 25)), (dot, colour)):
             radius = round(radius * (1 << _SUBPIXEL_BITS))
-            cv2.circle(
-                picture, _subpixel(pixels[k], picture), radius, ink, -1, cv2.LINE_AA, _SUBPIXEL_BITS
-            )
+            cv2.circle(picture, place, radius, ink, -1, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def draw_lines(picture: Image, lines: Sequence[tuple[str, Colour]]) -> None:
@@ -376,11 +376,15 @@ def _resample(image: NDArray[Any], camera: Camera, view: Camera, outside: Any) -
     )  # fmt: skip
 
 
-def _subpixel(pixel: NDArray[np.float64], picture: Image) -> tuple[int, int]:
-    """Fixed-point pixel for OpenCV, kept within what its integers hold."""
+def _subpixels(pixels: NDArray[np.floating], picture: Image) -> list[tuple[int, int] | None]:
+    """Fixed-point pixels for OpenCV, kept within what its integers hold; None if not finite."""
     reach = 4.0 * max(picture.shape[:2])
-    u, v = np.rint(np.clip(pixel, -reach, reach) * (1 << _SUBPIXEL_BITS)).astype(int)
-    return int(u), int(v)
+    known: list[bool] = np.asarray(np.isfinite(pixels).all(axis=1)).tolist()
+    places = np.rint(np.clip(np.nan_to_num(pixels), -reach, reach) * (1 << _SUBPIXEL_BITS))
+    return [
+        (u, v) if ok else None
+        for (u, v), ok in zip(places.astype(int).tolist(), known, strict=True)
+    ]
 
 
 def _shorten(text: str, length: int) -> str:

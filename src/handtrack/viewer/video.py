@@ -32,15 +32,23 @@ class VideoWriter:
     The file appears under its name when the block ends without an error, complete or not at all.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, frames_per_second: float = 30.0) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        frames_per_second: float = 30.0,
+        quality: int | None = None,
+    ) -> None:
         """Choose the format by the ending of the file.
 
         Args:
             path: File to write; its folder must exist.
             frames_per_second: Frame rate [1/s].
+            quality: 1 to 100 for a .webp, small to good; OpenCV's own choice when None.
 
         Raises:
-            InputError: The ending is not known, the rate is not positive, or there is no folder.
+            InputError: The ending is not known, rate or quality are out of range, or there is no
+                folder.
         """
         self.path = Path(path)
         """File that will be there at the end; ends in .avi where OpenCV lacks the codec."""
@@ -53,9 +61,15 @@ class VideoWriter:
             )
         if not 0.1 <= frames_per_second <= 1000:
             raise InputError(f"frames_per_second is {frames_per_second}: expected 0.1 to 1000")
+        if quality is not None and (self.path.suffix.lower() != ".webp" or not 1 <= quality <= 100):
+            raise InputError(
+                f"quality is {quality} for a {self.path.suffix} file: expected 1 to 100 for .webp, "
+                "None for others"
+            )
         if not self.path.resolve().parent.is_dir():
             raise InputError(f"{self.path.resolve().parent} is no folder: create it first")
         self._rate = float(frames_per_second)
+        self._options = [cv2.IMWRITE_WEBP_QUALITY, quality] if quality is not None else []
         self._size: tuple[int, int] | None = None
         self._writer: cv2.VideoWriter | None = None
         self._unfinished: Path | None = None
@@ -138,7 +152,7 @@ class VideoWriter:
             animation.frames = pictures
             animation.durations = np.full(len(pictures), round(1e3 / self._rate), np.int32)
             try:
-                written = bool(cv2.imwriteanimation(str(part), animation))
+                written = bool(cv2.imwriteanimation(str(part), animation, self._options))
             except cv2.error:
                 written = False
         if not written:

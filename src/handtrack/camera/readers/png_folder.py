@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -151,9 +152,9 @@ def _read_times(
     if description.name == "camera.json" and table.is_file():
         stamps: dict[str, float] = {}
         try:
-            with table.open(newline="", encoding="utf-8") as file:
-                for row in csv.DictReader(file):
-                    stamps[row["file"]] = float(row["time_s"])
+            text = table.read_text(encoding="utf-8")
+            for row in csv.DictReader(io.StringIO(_without_broken_end(text), newline="")):
+                stamps[row["file"]] = float(row["time_s"])
         except (KeyError, TypeError, ValueError, OSError, csv.Error) as error:
             raise DamagedFileError(
                 f"{table} is not readable: expected a header line 'file,time_s' and one line per "
@@ -168,6 +169,22 @@ def _read_times(
     if facts.get("times_s") is not None:
         return check_times(facts["times_s"], len(names), str(description))
     return None
+
+
+def _without_broken_end(text: str) -> str:
+    """A table without the line in the middle of which a recording was cut off."""
+    lines, _, last = text.rpartition("\n")
+    name, _, time = last.rpartition(",")
+    return lines if last and not (name and _is_number(time)) else text
+
+
+def _is_number(text: str) -> bool:
+    """Whether a text is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _read_labels(facts: dict[str, Any], where: Path) -> FrameTruth | None:

@@ -43,7 +43,7 @@ _CLOSE_MM = 40.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Image:
+class LabelledImage:
     """One image and what is known of it."""
 
     name: str
@@ -59,7 +59,7 @@ class _Image:
 class _Tracked:
     """What a tracker found in an image."""
 
-    image: _Image
+    image: LabelledImage
     tracker: str
     run: Run
     hand: ShapedHand
@@ -67,12 +67,14 @@ class _Tracked:
     """Pose given at the start, shape (28,); None for none."""
     scale: float | None
     """Overall scale of the hand that the tracker was told; None for the mean hand."""
+    size: float
+    """Scale that the tracker has come to, against the hand that it was told."""
 
     @property
     def facts(self) -> dict[str, Any]:
         """Entries of the case that say what the tracker was told."""
         return {
-            "scale": 1.0 if self.scale is None else self.scale,
+            "scale": self.size * (1.0 if self.scale is None else self.scale),
             "shape": "mean" if self.scale is None else "given",
             "side": self.image.side,
         }
@@ -88,7 +90,7 @@ def real_suite(settings: SuiteSettings, cases: Mapping[str, Any]) -> SuiteResult
         folder = settings.data
     model = HandModel.load()
     images = [_labelled(folder, name) for name in data["labelled"]]
-    images += [_with_tips(folder, name) for name in data["fingertips"]]
+    images += [image_with_tips(folder, name) for name in data["fingertips"]]
     images += [_read(folder, name) for name in data["pictured"]]
     found, overlays, notes, errors = [], [], [], {}
     for name in data["trackers"]:
@@ -126,7 +128,7 @@ def real_suite(settings: SuiteSettings, cases: Mapping[str, Any]) -> SuiteResult
 
 
 def _track(
-    image: _Image, name: str, repeats: int, settings: SuiteSettings, model: HandModel
+    image: LabelledImage, name: str, repeats: int, settings: SuiteSettings, model: HandModel
 ) -> _Tracked | None:
     """Track an image as a still sequence; None when the tracker needs a start that there is not."""
 
@@ -149,7 +151,13 @@ def _track(
         text=f"{image.name}, {name}",
     )  # fmt: skip
     return _Tracked(
-        image=image, tracker=name, run=run, hand=tracker.hand, start=starts.get(0), scale=scale
+        image=image,
+        tracker=name,
+        run=run,
+        hand=tracker.hand,
+        start=starts.get(0),
+        scale=scale,
+        size=tracker.size,
     )
 
 
@@ -271,7 +279,7 @@ def _overlays(one: _Tracked, case: Mapping[str, Any]) -> list[Overlay]:
     return found
 
 
-def _read(folder: Path, name: str) -> _Image:
+def _read(folder: Path, name: str) -> LabelledImage:
     """An image, with what its labels say of the side."""
     path = folder / f"{name}.png"
     with open_sequence(path) as sequence:
@@ -279,21 +287,21 @@ def _read(folder: Path, name: str) -> _Image:
     if frame.problem is not None:
         raise MissingFileError(f"{path} cannot be used: {frame.problem}")
     side = frame.truth.side if frame.truth is not None else None
-    return _Image(name=name, frame=frame, side=side or "right")
+    return LabelledImage(name=name, frame=frame, side=side or "right")
 
 
-def _labelled(folder: Path, name: str) -> _Image:
+def _labelled(folder: Path, name: str) -> LabelledImage:
     """An image with the joints of the NYU data set."""
     image = _read(folder, name)
     truth = image.frame.truth
     if truth is None or truth.joints is None or truth.joint_set != JOINT_SET:
         raise InputError(f"{folder / name}.png carries no {JOINT_SET} joints in {name}.json")
-    return _Image(
+    return LabelledImage(
         name=name, frame=image.frame, side=image.side, joints=truth.joints.astype(np.float64)
     )
 
 
-def _with_tips(folder: Path, name: str) -> _Image:
+def image_with_tips(folder: Path, name: str) -> LabelledImage:
     """An image with fingertips labelled in pixels."""
     image = _read(folder, name)
     path = folder / f"{name}.json"
@@ -312,4 +320,4 @@ def _with_tips(folder: Path, name: str) -> _Image:
                 f"{', '.join(FINGERS)} and a pixel u v"
             )
         tips[finger] = place
-    return _Image(name=name, frame=image.frame, side=image.side, tips=tips)
+    return LabelledImage(name=name, frame=image.frame, side=image.side, tips=tips)

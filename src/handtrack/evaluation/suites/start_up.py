@@ -62,9 +62,7 @@ def measure_start(device: str, *, cold: bool) -> dict[str, float]:
 
 def _start(device: str, cache: str | None) -> dict[str, float]:
     """One process; a kernel cache of its own when a folder is given."""
-    environment = dict(os.environ)
-    paths = [path for path in sys.path if path]
-    environment["PYTHONPATH"] = os.pathsep.join(paths)
+    environment = child_environment()
     if cache is not None:
         environment["WARP_CACHE_PATH"] = cache
     try:
@@ -78,3 +76,8 @@ def _start(device: str, cache: str | None) -> dict[str, float]:
         raise StartUpError(f"starting a tracker in its own process failed: {last}") from error
     except (subprocess.TimeoutExpired, ValueError, IndexError, OSError) as error:
         raise StartUpError(f"starting a tracker in its own process failed: {error}") from error
+
+
+def child_environment() -> dict[str, str]:
+    """Environment for a process of Python's that finds what this one finds."""
+    return dict(os.environ) | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from handtrack.camera.camera import Camera
 from handtrack.camera.frame import DepthFrame
 from handtrack.evaluation.runner import Run, run_tracker
+from handtrack.evaluation.suites.calibration_images import calibration_images
 from handtrack.evaluation.suites.suite import SuiteSettings
 from handtrack.evaluation.visibility import visible_keypoints
 from handtrack.hand.model import HandModel
@@ -20,6 +21,7 @@ from handtrack.synthesis.motion import Motion
 from handtrack.synthesis.noise import noise_preset
 from handtrack.synthesis.sequence import synthesize_sequence
 from handtrack.tracking.model_based import ModelBasedConfig
+from handtrack.tracking.shape_calibration import fit_shape
 from handtrack.tracking.tracker import HandTracker
 
 
@@ -37,6 +39,8 @@ class SubjectFrames:
     """First frame of each take, shape (k,)."""
     visible: NDArray[np.bool_]
     """Whether each true keypoint is in sight, shape (n, 21)."""
+    fitted: HandShape | None = None
+    """The shape as it was fitted to images of the subject, where that was asked for."""
 
     def every(self, stride: int) -> tuple[list[DepthFrame], dict[int, NDArray[np.float64]]]:
         """Every n-th frame, and the true pose of the first one kept of each take, by its place."""
@@ -66,7 +70,8 @@ def render_subject(
     """Draw a subject and render the suite's motion with it.
 
     Args:
-        data: The suite's `motion`, `frames`, `camera`, `noise` and `forearm`.
+        data: The suite's `motion`, `frames`, `camera`, `noise` and `forearm`, and `calibration` for
+            fitted shapes.
         seed: Seed of the subject.
         settings: Device and seed of the noise.
         model: The parametric hand.
@@ -79,9 +84,19 @@ def render_subject(
         seed=settings.seed, forearm=bool(data["forearm"]), device=settings.device,
     )  # fmt: skip
     shown = settings.progress(frames, len(motion), f"rendering subject {seed}")
+    fitted = None
+    if settings.shape == "fitted":
+        images = calibration_images(
+            hand, data["calibration"] | {"camera": data["camera"], "noise": data["noise"]},
+            [settings.seed, seed], device=settings.device,
+        )  # fmt: skip
+        fitted = fit_shape(
+            images.depths, camera, device=settings.device, seed=settings.seed, model=model
+        )
     return SubjectFrames(
         seed=seed,
         shape=shape,
+        fitted=fitted,
         frames=list(shown),
         segment_starts=motion.segment_starts,
         visible=visible_keypoints(hand, camera, motion.to_poses(), device=settings.device),
@@ -96,10 +111,12 @@ def subject_tracker(
     tracker: str,
     config: ModelBasedConfig | None = None,
 ) -> HandTracker:
-    """A tracker for a subject's frames, told the subject's shape if the settings say so."""
+    """A tracker for a subject's frames, told of the subject's shape what the settings say."""
+    shapes = {"given": subject.shape, "fitted": subject.fitted}
     return HandTracker(
         subject.frames[0].camera,
-        shape=subject.shape if settings.shape == "given" else None,
+        shape=shapes.get(settings.shape or "given"),
+        adapt_shape=settings.shape == "adapted",
         device=settings.device,
         tracker=tracker,
         config=config,

@@ -28,8 +28,11 @@ SUITES: dict[str, str] = {
     "recovery": "the tracked pose is scrambled: how many frames until tracking is back",
     "scenes": "whole scenes: nobody, people, a hand that leaves, a cup, things held in front",
     "speed": "time per frame and stage for 1 to 64 hypotheses, start-up",
+    "live": "the live loop for minutes: memory, dropped frames, age of results",
+    "viewer": "what the web viewer costs the tracking loop",
     "regression": "the forest alone: features and structures, cross-validated over subjects",
     "ablation": "the tracker with every switch changed, one after the other",
+    "shape": "hand shape from images and while tracking: unseen subjects, real images with --data",
     "real": "real images with labelled joints or fingertips (needs --data)",
     "sequence": "any recorded sequence (needs --sequence)",
 }
@@ -41,6 +44,10 @@ FIRST_POSE_SUITES = ("tracking",)
 
 _GOAL = ("value", "at_most", "at_least")
 """What a target asks for; its other entries say of which cases."""
+
+ShapeTold = Literal["given", "mean", "fitted", "adapted"]
+"""The subject's own shape, the mean hand's, what `fit_shape` finds in images of the subject, or the
+mean hand's at first, adapted while tracking. The last two are for the suite `tracking`."""
 
 FirstPose = Literal["truth", "found"]
 """Where trackers that do not start by themselves get the first pose of each take from."""
@@ -81,9 +88,8 @@ class SuiteSettings:
     quick: bool = False
     """Run the small part of the suite that its file in `benchmarks/` names, to see that it
     works."""
-    shape: Literal["given", "mean"] | None = None
-    """Whether trackers know the subject's shape or take the mean hand; None takes the suite's
-    own."""
+    shape: ShapeTold | None = None
+    """What trackers know of the subject's shape; None takes the suite's own."""
     first_pose: FirstPose = "truth"
     """First pose of each take, for trackers that do not start by themselves: the true one, or what
     an automatic tracker finds there without memory."""
@@ -93,6 +99,8 @@ class SuiteSettings:
     """Recorded sequence, for the suite of that name."""
     cold: bool = False
     """Measure the start without compiled kernels too, which takes minutes."""
+    minutes: float | None = None
+    """How long the suite `live` runs [min]; None takes the suite's own."""
     progress: Progress = no_progress
     """Shows how far the suite is."""
 
@@ -211,6 +219,10 @@ def run_suite(name: str, settings: SuiteSettings) -> SuiteResult:
         raise InputError(
             f"the suite {name} does not let a tracker find first poses; "
             f"{' and '.join(FIRST_POSE_SUITES)} does"
+        )
+    if settings.shape in ("fitted", "adapted") and name != "tracking":
+        raise InputError(
+            f"the suite {name} does not fit shapes; tracking does, and shape measures them"
         )
     module = name.replace("-", "_")
     run: Suite = getattr(import_module(f"{__package__}.{module}"), f"{module}_suite")

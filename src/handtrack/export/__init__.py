@@ -1,0 +1,1 @@
+"""Tracked hands for other programs: files in their formats, and frames over a WebSocket."""

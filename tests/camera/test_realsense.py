@@ -1,0 +1,120 @@
+"""Recordings of librealsense: written by its recorder, and .bag files in its published layout."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'handtrack[rosbag]'")
+pytest.importorskip(
+    "pyrealsense2", reason="pyrealsense2 is not installed: pip install 'handtrack[realsense]'"
+)
+
+import pyrealsense2 as rs
+
+from camera.ros_bags import write_realsense_bag
+from handtrack.camera.camera import Camera
+from handtrack.camera.readers.software_camera import SoftwareCamera
+from handtrack.camera.source import open_sequence
+from handtrack.errors import HandtrackError, InputError
+
+CAMERA = Camera(width=64, height=48, fx=47.5, fy=47.25, cx=31.5, cy=24.5)
+UNIT = 0.000125
+
+
+@pytest.fixture(scope="module")
+def steps() -> np.ndarray:
+    steps = np.random.default_rng(0).integers(300, 9000, (20, *CAMERA.shape)).astype(np.uint16)
+    steps[:, 0, 0] = 0
+    return steps
+
+
+@pytest.fixture(scope="module", params=["bag", "db3"])
+def recording(request, steps, tmp_path_factory):
+    path = tmp_path_factory.mktemp("realsense") / f"camera.{request.param}"
+    if request.param == "bag":
+        return write_realsense_bag(path, CAMERA, steps, UNIT)
+    if not rs.__version__ >= "2.58":
+        pytest.skip(f"librealsense {rs.__version__} does not write .db3")
+    device = SoftwareCamera(CAMERA, unit=UNIT)
+    recorder = rs.recorder(str(path), device.device)
+    (sensor,) = recorder.query_sensors()
+    frames = rs.frame_queue(50)
+    sensor.open(sensor.get_stream_profiles()[0])
+    sensor.start(frames)
+    for number, image in enumerate(steps):
+        device.push(image, time=5 + number / 60, number=number)
+        frames.wait_for_frame(2000)
+    time.sleep(0.2)  # the recorder writes in a thread of its own
+    sensor.stop()
+    sensor.close()
+    del sensor, recorder
+    return path
+
+
+def test_steps_times_the_cameras_unit_are_metres(recording, steps):
+    with open_sequence(recording) as sequence:
+        assert sequence.format == "realsense"
+        assert sequence.camera == CAMERA
+        assert sequence.frames_per_second == 60
+        frames = list(sequence)
+        for number, (frame, image) in enumerate(zip(frames, steps, strict=True)):
+            np.testing.assert_allclose(frame.depth, image * UNIT, atol=1e-7)
+            assert frame.time == pytest.approx(5 + number / 60, abs=1e-5)
+
+
+def test_frames_can_be_read_in_any_order_and_twice(recording, steps):
+    with open_sequence(recording) as sequence:
+        for place in (17, 3, 3, 4, 5, 19, 0, -1):
+            np.testing.assert_allclose(sequence[place].depth, steps[place] * UNIT, atol=1e-7)
+
+
+def test_unit_and_camera_can_be_given(recording, steps):
+    other = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+    with open_sequence(recording, camera=other, depth_unit=0.001) as sequence:
+        assert sequence.camera == other
+        np.testing.assert_allclose(sequence[2].depth, steps[2] * 1e-3, atol=1e-6)
+    with pytest.raises(InputError, match=r"32x24.*64x48"):
+        open_sequence(recording, camera=CAMERA.resize(32, 24))
+
+
+@pytest.mark.parametrize("damage", ["cut", "head", "middle"])
+def test_damaged_recordings_give_a_one_line_error_or_flagged_frames(
+    recording, steps, tmp_path, damage
+):
+    path = tmp_path / recording.name
+    data = bytearray(recording.read_bytes())
+    if damage == "cut":
+        data = data[: len(data) // 2]
+    elif damage == "head":
+        data[40:400] = bytes(360)
+    else:
+        data[len(data) // 2 : len(data) // 2 + 500] = b"\xff" * 500
+    path.write_bytes(data)
+    try:
+        with open_sequence(path) as sequence:
+            frames = list(sequence)
+    except HandtrackError as error:
+        assert "\n" not in str(error) and path.name in str(error)
+        return
+    assert all(frame.problem is None or "\n" not in frame.problem for frame in frames)
+
+
+def test_without_pyrealsense2_the_message_says_what_to_install(recording):
+    code = (
+        "import sys; sys.modules['pyrealsense2'] = None\n"
+        "from handtrack.camera.source import open_sequence\n"
+        "from handtrack.errors import MissingDependencyError\n"
+        "for source in (sys.argv[1], 'realsense'):\n"
+        "    try:\n        open_sequence(source)\n"
+        "    except MissingDependencyError as error:\n        print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(recording)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.count("pip install 'handtrack[realsense]'") == 2
+    assert done.stdout.count("\n") == 2
