@@ -55,7 +55,7 @@ def test_a_folder_with_images_is_not_recorded_over(
     assert (tmp_path / "000000.png").read_bytes() == b"yesterday"
 
 
-@pytest.mark.parametrize("text", ["8765", "127.0.0.1:", ":8765", "host:port", "host:70000"])
+@pytest.mark.parametrize("text", ["here", "127.0.0.1:", ":8765", "host:port", "host:70000"])
 def test_an_address_has_a_host_and_a_port(text: str, capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InputError, match="HOST:PORT"):
         parse_address(text)
@@ -66,6 +66,7 @@ def test_an_address_has_a_host_and_a_port(text: str, capfd: pytest.CaptureFixtur
 def test_addresses_are_taken_apart() -> None:
     assert parse_address("127.0.0.1:8765") == ("127.0.0.1", 8765)
     assert parse_address("[::1]:80") == ("::1", 80)
+    assert parse_address("8765") == ("127.0.0.1", 8765)
 
 
 def test_a_slow_start_is_explained_and_a_quick_one_is_not(

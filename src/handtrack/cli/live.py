@@ -37,7 +37,7 @@ class LiveOptions(SessionOptions):
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")] = "realsense"
     """Live source or recording."""
     publish: str | None = None
-    """Stream every result as JSON over a WebSocket at HOST:PORT, such as 127.0.0.1:8765."""
+    """Stream every result as JSON over a WebSocket at HOST:PORT, or PORT of 127.0.0.1."""
     record: Path | None = None
     """Record every frame with its result into this folder."""
     headless: bool = False
@@ -85,7 +85,7 @@ def run(options: LiveOptions) -> int:
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port of HOST:PORT.
+    """Host and port of HOST:PORT, or of PORT alone.
 
     Raises:
         InputError: It is something else.
@@ -93,6 +93,9 @@ def parse_address(text: str) -> tuple[str, int]:
     from handtrack.errors import InputError
 
     host, colon, port = text.rpartition(":")
+    if not colon and port.isdecimal():
+        # This machine, as `handtrack.export.publisher` has it.
+        host, colon = "127.0.0.1", ":"
     if not colon or not host or not port.isdecimal() or not 0 <= int(port) < 65536:
         raise InputError(f"{text!r} is no address: expected HOST:PORT, such as 127.0.0.1:8765")
     return host.strip("[]"), int(port)

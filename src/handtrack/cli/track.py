@@ -60,6 +60,8 @@ class TrackOptions:
     """Which tracker: hybrid finds and follows the hand; the others are baselines."""
     shape: str | None = None
     """Hand shape: an .npz file, or mean; without it that of the sequence when it carries one."""
+    adapt_shape: bool = False
+    """Find the whole shape of the hand on the way, beginning with that one; results hold it."""
     side: Literal["right", "left"] | None = None
     """Which hand; without it what the sequence says, else right."""
     start: str = "auto"

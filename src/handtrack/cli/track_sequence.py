@@ -85,6 +85,7 @@ def track_sequence(
         tracker = HandTracker(
             sequence.camera, side=side, shape=None if origin == MEAN_HAND else shape,
             device=device.alias, model=model, tracker=options.tracker, seed=options.seed,
+            adapt_shape=options.adapt_shape,
         )  # fmt: skip
         start.pose = start.resolve(tracker, model)
         out.mkdir(parents=True, exist_ok=True)
@@ -92,7 +93,11 @@ def track_sequence(
         follow = _Follow(options, sequence, tracker, start, record, out, bar)
         follow.run()
         dropped = sequence.dropped
-        if tracker.size != 1.0:
+        if options.adapt_shape:
+            shape = tracker.shape
+            sure = "sure" if tracker.shape_frozen else "not sure yet"
+            record.shape, origin = shape, f"{origin}, then adapted ({sure})"
+        elif tracker.size != 1.0:
             shape = replace(shape, scale=shape.scale * tracker.size)
             record.shape, origin = shape, f"{origin}, found {tracker.size:.3f} times as large"
     if not record:
@@ -112,7 +117,8 @@ def track_sequence(
 
 
 _RESULT_OPTIONS = (
-    "tracker", "shape", "side", "start", "format", "topic", "frames", "seed", "video", "zoom",
+    "tracker", "shape", "adapt_shape", "side", "start", "format", "topic", "frames", "seed", "video",
+    "zoom",
 )  # fmt: skip
 """Options that make a difference to what is written."""
 

@@ -187,6 +187,7 @@ class TrackerHybrid:
         if config.adapt_size:
             self._probe = SizeProbe(hand, camera, fit=config.fit, **self._options)
         self._sizing = self._probe is not None
+        self._settled = False
         self._judge = HandJudge(hand, camera, device=device) if config.judged else None
         self._trust = Trust(config.trust)
         self._patience = Patience()
@@ -217,6 +218,7 @@ class TrackerHybrid:
     def forget(self) -> None:
         """Start from nothing, with a hand of unknown size; see `Stepper`."""
         self.start(None)
+        self._settled = False
         if self._probe is not None and self._probe.size != 1.0:
             self._probe.forget()
             self._resize()
@@ -265,17 +267,19 @@ class TrackerHybrid:
             if doubted and (
                 found is None
                 or found.error > config.seek_error
-                or (not self._sure and self._trust.doubtful)
+                or (self._trust.doubtful and (not self._sure or self._doubt.young))
             ):
                 found = self._search_scene(depth, found)
                 clock.lap("scene")
         first_sight = not self._sure
         if found is not None:
-            found, resized = self._sized(depth, found, settle=first_sight, watch=not doubted)
+            settle = first_sight or not self._settled
+            found, resized = self._sized(depth, found, settle=settle, watch=not doubted)
             clock.lap("size")
             if self._judge is not None and (doubted or resized or self._trust.due):
                 self._trust.hear(self._odds(depth, found))
                 clock.lap("judge")
+            self._settled |= not self._trust.doubtful
         estimate = self._estimate(found, self._believed, clock.spans)
         self._motion = np.zeros(NV)
         if found is not None:
@@ -368,7 +372,7 @@ class TrackerHybrid:
         candidates = self._near.run(depth, centre[None], extra=pool)
         (found,) = self._scene.finish(depth[None], [candidates], self._costs)
         # What the forest says of a place means something for places that segmentation proposed.
-        return self._better(tracked, replace(found, presence=None))
+        return self._better(depth, tracked, replace(found, presence=None))
 
     def _search_scene(self, depth: NDArray[np.float32], tracked: Found | None) -> Found | None:
         """The best candidate of the whole scene, or the tracked pose when that is better."""
@@ -377,11 +381,13 @@ class TrackerHybrid:
         if found is None or tracked is None:
             return found or tracked
         if self._judge is None or self._sure:
-            return self._better(tracked, found)
-        if odds < self._trust.odds:
-            return tracked
-        self._trust.forget(known=False)
-        return found
+            chosen = self._better(depth, tracked, found)
+        else:
+            chosen = found if odds >= self._trust.odds else tracked
+        if chosen is found:
+            # What was believed of the other place says nothing of this one.
+            self._trust.forget(known=False)
+        return chosen
 
     def _find(
         self, scene: SceneSearch, depths: NDArray[np.float32], *, thoroughly: bool
@@ -392,8 +398,13 @@ class TrackerHybrid:
             convinced=self._trust.convinced, attempts=self.config.attempts if thoroughly else 1,
         )  # fmt: skip
 
-    def _better(self, tracked: Found, found: Found) -> Found:
-        """The tracked pose, unless the other one costs clearly less (Eq. II.20)."""
+    def _better(self, depth: NDArray[np.float32], tracked: Found, found: Found) -> Found:
+        """The tracked pose, unless the other one costs clearly less (Eq. II.20).
+
+        Where the judge doubts the tracked pose, the one that it takes for likelier.
+        """
+        if self._judge is not None and self._trust.doubtful:
+            return max(tracked, found, key=lambda one: self._odds(depth, one))
         gain = self.config.gain * self._cost(tracked.pose, tracked.error)
         return found if self._cost(found.pose, found.error) < gain else tracked
 

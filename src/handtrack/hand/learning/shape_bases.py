@@ -80,8 +80,9 @@ def _principal(samples: Float, units: Float, share: float) -> tuple[Float, Float
     """Mean, basis with one column per standard deviation, and explained shares."""
     pca = PCA(svd_solver="full").fit(samples * units)
     shares, variances = pca.explained_variance_ratio_, np.asarray(pca.explained_variance_)
+    components = np.asarray(pca.components_)
     count = min(int(np.searchsorted(np.cumsum(shares), share) + 1), len(samples) - 1)
-    basis = (pca.components_[:count] * np.sqrt(variances[:count, None]) / units).T
+    basis = (components[:count] * np.sqrt(variances[:count, None]) / units).T
     # A component's sign is arbitrary: make its largest entry positive so that runs agree.
     signs = np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(count)])
     return pca.mean_ / units, basis * signs, shares[:count]

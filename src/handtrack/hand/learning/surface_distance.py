@@ -17,8 +17,8 @@ only comes close with its corner."""
 def surface_distance(points: ArrayLike, vertices: ArrayLike, faces: ArrayLike) -> Float:
     """Distances of points from a surface.
 
-    The triangles at the nearest vertices are searched, which is exact for meshes as even as hands
-    and scans are.
+    The triangles at the nearest vertices are searched, which is all but exact for meshes as even as
+    hands and scans are.
 
     Args:
         points: Points [m], shape (n, 3).
