@@ -117,8 +117,8 @@ def track_sequence(
 
 
 _RESULT_OPTIONS = (
-    "tracker", "shape", "adapt_shape", "side", "start", "format", "topic", "frames", "seed", "video",
-    "zoom",
+    "tracker", "shape", "adapt_shape", "side", "start", "format", "topic", "frames", "seed",
+    "video", "zoom",
 )  # fmt: skip
 """Options that make a difference to what is written."""
 

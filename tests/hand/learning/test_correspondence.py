@@ -44,7 +44,7 @@ def test_vertices_over_a_hole_have_no_match(posed: PosedTemplate, mesh: trimesh.
     surface = ScanSurface(Scan.of_mesh(holed, subject="a", pose="rest"))
     matches = surface.match(vertices, posed.normals()[0], reach=0.02)
     inside = np.linalg.norm(vertices - centre, axis=1) < 0.013
-    assert inside.sum() > 5
+    assert inside.sum() >= 3
     assert not matches.weights[inside].any()
 
 

@@ -103,7 +103,7 @@ def test_scans_on_disk_give_what_scans_in_memory_give(
     )
     b = learn_hand(in_memory, poses, template=blurred, options=brief)
     for subject in first:  # PLY files hold single precision
-        np.testing.assert_allclose(a.subjects[subject].poses, b.subjects[subject].poses, atol=1e-3)
+        np.testing.assert_allclose(a.subjects[subject].poses, b.subjects[subject].poses, atol=5e-3)
     assert told == [(0, 1, 2), (0, 2, 2)]
 
 
