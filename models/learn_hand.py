@@ -185,7 +185,7 @@ def run_reproduce(args: argparse.Namespace) -> None:
             {"hand.npz": shipped, "learnt": learnt.model},
             [subject.hand.vertices for subject in unseen[: args.unseen]],
         ),
-        f"seed {args.others_seed}: distance from the nearest subject behind hand.npz [mm]": nearest_mm(
+        "report: nearest subject behind hand.npz [mm]": nearest_mm(
             [s.hand.vertices for s in others], [s.hand.vertices for s in everyone]
         ),
     }

@@ -92,10 +92,14 @@ class HandLikeness:
         apart = np.where(seen > 0, seen, _BIG) - drawn
         close = shown & (np.abs(apart) < NEAR)
         differences = apart[close]
-        relief = [_relief(image, close, COARSE / cell, FINE / cell) for image in (drawn, seen)]
-        fine = [_relief(image, close, 0.5 * COARSE / cell, FINE / cell) for image in (drawn, seen)]
+        coarse, fine = COARSE / cell, FINE / cell
+
+        def relief(image: NDArray, breadth: float) -> NDArray[np.float32]:
+            return _relief(image, close, breadth * coarse, fine)[inner]
+
         inner = cv2.erode(close.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        smooth = [_smooth(image, close, 1.2) for image in (drawn, seen)]
+        smooth_drawn, smooth_seen = (_smooth(image, close, 1.2) for image in (drawn, seen))
+        relief_seen = relief(seen, 1.0)
         rotation = quat_to_matrix(pose[3:7])
         return np.array([
             (shown & (np.abs(apart) < 0.005)).sum() / count,
@@ -104,10 +108,10 @@ class HandLikeness:
             (shown & (apart < -FAR)).sum() / count,
             _left_over(seen, drawn, window, pose, rotation, middle) / count,
             _outline(drawn, seen, known, window, pose, rotation, cell),
-            _correlation(*(image[inner] for image in relief)),
-            1e2 * float(relief[1][inner].std()) if inner.any() else 0.0,
-            _correlation(*(image[inner] for image in fine)),
-            _normals_agree(*smooth, inner, cell),
+            _correlation(relief(drawn, 1.0), relief_seen),
+            1e2 * float(relief_seen.std()) if inner.any() else 0.0,
+            _correlation(relief(drawn, 0.5), relief(seen, 0.5)),
+            _normals_agree(smooth_drawn, smooth_seen, inner, cell),
             1e2 * float(differences.mean()) if len(differences) else 0.0,
             1e2 * float(differences.std()) if len(differences) else 2.0,
             1e1 * float(np.linalg.norm(points[8::4] - points[0], axis=1).mean()),
@@ -142,7 +146,8 @@ def _smooth(image: NDArray, mask: NDArray[np.bool_], sigma: float) -> NDArray[np
     """Gaussian mean over the cells of a mask."""
     weight = mask.astype(np.float32)
     total = cv2.GaussianBlur(np.where(mask, image, 0).astype(np.float32), (0, 0), sigma)
-    return total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-6)
+    share = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-6)
+    return np.asarray(total / share, np.float32)
 
 
 def _relief(image: NDArray, mask: NDArray[np.bool_], coarse: float, fine: float) -> NDArray:
