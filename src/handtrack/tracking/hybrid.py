@@ -7,7 +7,6 @@ for in several regions of the whole scene.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -36,6 +35,7 @@ from handtrack.tracking.patience import Patience
 from handtrack.tracking.rescue import restart_poses
 from handtrack.tracking.scene_search import Found, SceneSearch, SearchConfig, search_until
 from handtrack.tracking.size_probe import SizeProbe
+from handtrack.tracking.stage_clock import StageClock
 from handtrack.tracking.stepper import Estimate
 from handtrack.tracking.trust import Trust, TrustConfig
 from handtrack.transforms import apply_increment, pose_difference
@@ -244,7 +244,7 @@ class TrackerHybrid:
 
     def step(self, depth: NDArray[np.float32], *, fallback: Float | None = None) -> Estimate:
         """Find the hand in the next frame; see `Stepper`."""
-        config, clock = self.config, _Clock()
+        config, clock = self.config, StageClock()
         if self._patience.refused and not self._sure:
             waits = self._patience.waits(self._places(depth))
             clock.lap("scene")
@@ -316,6 +316,19 @@ class TrackerHybrid:
         if self._judge is None:
             return np.inf
         return self._judge.log_odds(depth, found.pose, found.error, found.presence)
+
+    def _odds_resized(self, depth: NDArray[np.float32], found: Found) -> float:
+        """The same, of a pose that may have to be looked at in another size first."""
+        odds = self._odds(depth, found)
+        if self._probe is None or self._trust.convinced(odds):
+            return odds
+        size = self._probe.size
+        resized, changed = self._sized(depth, found, settle=True, watch=False)
+        if changed:
+            odds = max(odds, self._odds(depth, resized))
+            self._probe.size = size
+            self._resize()
+        return odds
 
     def _sized(
         self, depth: NDArray[np.float32], found: Found, *, settle: bool, watch: bool
@@ -394,7 +407,8 @@ class TrackerHybrid:
     ) -> list[tuple[Found | None, float]]:
         """The likeliest pose in every frame, with its log-odds; see `search_until`."""
         return search_until(
-            scene, depths, self._hand, self._costs, self._rng, odds=self._odds,
+            scene, depths, self._hand, self._costs, self._rng,
+            odds=self._odds if scene is self._batch else self._odds_resized,
             convinced=self._trust.convinced, attempts=self.config.attempts if thoroughly else 1,
         )  # fmt: skip
 
@@ -481,17 +495,3 @@ class TrackerHybrid:
         """The lowest depth error among the followed poses."""
         pose, error, information = fit_best(self._follower, self._hand, depth, starts)
         return Found(pose=pose, error=error, presence=None, information=information)
-
-
-class _Clock:
-    """Time spent per stage [ms]."""
-
-    def __init__(self) -> None:
-        self.spans: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, name: str) -> None:
-        """The time since the last lap goes to a stage."""
-        now = time.perf_counter()
-        self.spans[name] = self.spans.get(name, 0.0) + 1e3 * (now - self._last)
-        self._last = now
