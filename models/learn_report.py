@@ -17,7 +17,7 @@ from handtrack.hand.learning import posed_template as posing
 from handtrack.hand.learning.space_fit import fit_in_space
 from handtrack.hand.learning.subject import start_subject
 from handtrack.hand.learning.surface_distance import surface_distance
-from handtrack.hand.learning.weights import dense_weights
+from handtrack.hand.learning.weights import dense_weights, mean_weight_error
 from handtrack.hand.model import HandModel
 
 Float = NDArray[np.float64]
@@ -36,7 +36,7 @@ def weight_errors(models: Mapping[str, HandModel], truth: Truth) -> dict[str, fl
     """Summed absolute difference from the true weights, mean over the vertices, by model."""
     right = dense_weights(truth.weight_bones, truth.weights)
     return {
-        name: float(np.abs(dense_weights(m.weight_bones, m.weights) - right).sum(axis=1).mean())
+        name: mean_weight_error(dense_weights(m.weight_bones, m.weights), right)
         for name, m in models.items()
     }
 
