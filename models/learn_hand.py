@@ -52,9 +52,13 @@ BLUR = 10
 
 
 def told(number: int, done: int, total: int) -> None:
-    """Progress on one line of stderr."""
-    end = "\n" if done == total else ""
-    print(f"\rround {number + 1}: {done} of {total} subjects", end=end, file=sys.stderr, flush=True)
+    """Progress on stderr: one line that is written over, or a line per round in a log."""
+    if sys.stderr.isatty():
+        end = "\n" if done == total else ""
+        text = f"\rround {number + 1}: {done} of {total} subjects"
+        print(text, end=end, file=sys.stderr, flush=True)
+    elif done == total:
+        print(f"round {number + 1}: {total} subjects", file=sys.stderr)
 
 
 def variance(learnt: LearntHand) -> dict[str, list[float]]:
