@@ -51,18 +51,15 @@ def run_subjects(args: argparse.Namespace) -> None:
     if args.codes:
         # Ten micrometres are far below what the shape space leaves.
         told["offsets"] = np.round(told["offsets"], 5)
-        np.savez_compressed(args.out, seed=args.seed, **told)
-        return
-    write_artifact(
-        args.out,
-        {
-            **told,
+        told["seed"] = np.array(args.seed)
+    else:
+        told |= {
             "vertices": np.array([s.hand.vertices for s in subjects], np.float32),
             "faces": builder.maker.topology.faces,
             "keypoints": np.array([s.hand.keypoints for s in subjects]),
             "angles": np.array([c.angles for c in codes]),
-        },
-    )
+        }
+    write_artifact(args.out, told)
 
 
 def run_picture(args: argparse.Namespace) -> None:

@@ -21,13 +21,14 @@ sys.path[:0] = [str(ROOT / "models"), str(ROOT / "src")]
 
 import cv2  # noqa: E402
 import numpy as np  # noqa: E402
-import trimesh  # noqa: E402
 from hand_builder.build import BuildConfig, HandBuilder  # noqa: E402
 from learn_report import (  # noqa: E402
+    REST,
     astray_scans,
     blurred,
     explained_shares,
     fitted_errors,
+    registered_scan,
     residual_picture,
     unseen_errors,
     weight_errors,
@@ -38,15 +39,12 @@ from handtrack.errors import HandtrackError  # noqa: E402
 from handtrack.hand.learning import (  # noqa: E402
     LearningOptions,
     LearntHand,
-    Scan,
     find_scans,
     learn_hand,
 )
 from handtrack.hand.model import HandModel  # noqa: E402
 from handtrack.synthesis.poses import load_poses  # noqa: E402
 
-REST = "rest"
-"""Name of the template's own pose."""
 BLUR = 10
 """Rounds of averaging that the first weights of `report` get, on top of the template's one."""
 
@@ -158,15 +156,8 @@ def run_reproduce(args: argparse.Namespace) -> None:
     everyone = builder.population.draw(config.subjects, config.seed)
     own = everyone[: args.subjects]
     scans = {
-        f"s{number:04d}": [
-            Scan.of_mesh(
-                trimesh.Trimesh(subject.hand.vertices, shipped.faces, process=False),
-                subject=f"s{number:04d}",
-                pose=REST,
-                template_faces=shipped.faces,
-            )
-        ]
-        for number, subject in enumerate(own)
+        (name := f"s{number:04d}"): [registered_scan(one.hand.vertices, shipped, subject=name)]
+        for number, one in enumerate(own)
     }
     # Correspondences are known, so few steps do.
     options = LearningOptions(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 from hand_builder.weights import smoothed, sparse_weights
-from learn_scans import Truth, open_faces
+from learn_scans import Truth
 from numpy.typing import NDArray
 
 from handtrack.evaluation.curves import draw_curves
@@ -16,13 +16,17 @@ from handtrack.hand.learning import LearntHand, Scan, ScanFile, read_scan
 from handtrack.hand.learning import posed_template as posing
 from handtrack.hand.learning.space_fit import fit_in_space
 from handtrack.hand.learning.subject import start_subject
-from handtrack.hand.learning.surface_distance import surface_distance
+from handtrack.hand.learning.virtual_scanner import open_faces
 from handtrack.hand.learning.weights import dense_weights, mean_weight_error
 from handtrack.hand.model import HandModel
+from handtrack.hand.surface_distance import surface_distance
 
 Float = NDArray[np.float64]
 
 Scans = Mapping[str, Sequence[ScanFile]]
+
+REST = "rest"
+"""Name of the template's own pose."""
 
 
 def blurred(model: HandModel, rounds: int) -> HandModel:
@@ -114,6 +118,12 @@ def unseen_errors(
     return errors.summary()
 
 
+def registered_scan(vertices: Float, model: HandModel, *, subject: str) -> Scan:
+    """A scan at rest whose vertices are those of a model's template [m], shape (nvert, 3)."""
+    mesh = trimesh.Trimesh(vertices, model.faces, process=False)
+    return Scan.of_mesh(mesh, subject=subject, pose=REST, template_faces=model.faces)
+
+
 def explained_shares(
     models: Mapping[str, HandModel], meshes: Sequence[Float]
 ) -> dict[str, dict[str, float]]:
@@ -133,14 +143,7 @@ def explained_shares(
         template = posing.Template.of(model)
         total = left = distance = 0.0
         for vertices in meshes:
-            scans = [
-                Scan.of_mesh(
-                    trimesh.Trimesh(vertices, model.faces, process=False),
-                    subject=name,
-                    pose="rest",
-                    template_faces=model.faces,
-                )
-            ]
+            scans = [registered_scan(vertices, model, subject=name)]
             start = start_subject(template, scans, model.rest_angles[None])
             near, mean = (
                 fit_in_space(model, scans, start.poses, steps=8, free_shape=free).vertices[0]

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from handtrack.errors import DamagedFileError, MissingFileError
 from handtrack.files import UNREADABLE
 from handtrack.hand.kinematics import skin
-from handtrack.hand.learning.virtual_scanner import ScannerOptions, virtual_scan
+from handtrack.hand.learning.virtual_scanner import ScannerOptions, open_faces, virtual_scan
 from handtrack.hand.model import HandModel
 from handtrack.hand.skeleton import NBONE
 from handtrack.synthesis.poses import load_poses
@@ -90,11 +90,6 @@ class Truth:
             raise DamagedFileError(f"{path} is not the truth of scans: {error}") from error
 
 
-def open_faces(model: HandModel) -> NDArray[np.int32]:
-    """Triangles of the skin, without the cap that closes the forearm around the last vertex."""
-    return model.faces[(model.faces != len(model.vertices) - 1).all(axis=1)]
-
-
 def rig_weights(builder: HandBuilder) -> tuple[NDArray[np.int32], Float]:
     """Weights of MakeHuman's rig at the hand's vertices, not smoothed: bones and weights."""
     rows = bone_weights(builder.maker.rig_weights, builder.maker.topology.base_ids)
@@ -130,13 +125,7 @@ def make_scans(
         # Each subject has its own random numbers: a longer list keeps the first subjects' scans.
         rng = np.random.default_rng([seed, number])
         code = encode(template, subject.hand)
-        hand = replace(
-            model,
-            scale_mean=code.scales,
-            scale_basis=np.zeros((NBONE + 1, 0)),
-            offset_mean=code.offsets,
-            offset_basis=np.zeros((len(code.offsets), 3, 0)),
-        ).shaped()
+        hand = replace(model, scale_mean=code.scales, offset_mean=code.offsets).shaped()
         for name in rng.choice(POSES, rng.integers(1, 6), replace=False):
             angles = named[str(name)] + ANGLE_DEVIATION * rng.standard_normal(len(model.limits))
             pose = np.concatenate(

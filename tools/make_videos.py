@@ -90,7 +90,7 @@ def make_video(
     """Track frames and write what was found."""
     tracker = ht.HandTracker(camera, side=side, device=device)
     tracked = [(frame, tracker.track(frame.depth)) for frame in frames]
-    sure = sum(hand.state in (TrackState.TRACKING, TrackState.RECOVERED) for _, hand in tracked)
+    sure = sum(hand.state.sure for _, hand in tracked)
     # Drawn with the size that was found in the end.
     style = PictureStyle(panel=PANEL, zoom=0.3)
     overlay = OverlayPainter(tracker.hand, camera, style=style)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hand_builder.skeleton import Skeleton, bone_lengths, bone_origins, fit_pose
 from hand_builder.subjects import HandSubject
+from handtrack.hand.learning.shape_bases import principal_components
 from handtrack.hand.model import skeleton_frames
 from handtrack.hand.skeleton import BASE_BONES, BONE_PARENTS, DISTAL_BONES, NBONE
 
@@ -177,12 +178,5 @@ def principal_space(samples: Float, *, share: float, weights: Float | None = Non
         Mean, basis and explained shares.
     """
     weights = np.ones(samples.shape[1]) if weights is None else weights
-    mean = samples.mean(axis=0)
-    _, deviations, components = np.linalg.svd((samples - mean) * weights, full_matrices=False)
-    explained = deviations**2 / (deviations**2).sum()
-    count = int(np.searchsorted(np.cumsum(explained), share) + 1)
-    deviations = deviations[:count, None] / np.sqrt(len(samples) - 1)
-    basis = (components[:count] * deviations / weights).T
-    # A component's sign is arbitrary: make its largest entry positive so that rebuilds agree.
-    signs = np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(count)])
-    return LinearSpace(mean=mean, basis=basis * signs, variance=explained[:count], weights=weights)
+    mean, basis, variance = principal_components(samples, weights, share)
+    return LinearSpace(mean=mean, basis=basis, variance=variance, weights=weights)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from handtrack.hand.learning.weights import slot_weights
 from handtrack.hand.skeleton import NBONE
 
 Float = NDArray[np.float64]
@@ -47,10 +48,7 @@ def sparse_weights(dense: Float) -> tuple[NDArray[np.int32], Float]:
         dense[lost, 0] += dense[lost, columns].sum(axis=1)
         dense[lost, columns] = 0.0
     dense[dense < 1e-3] = 0.0
-    bones = np.argsort(-dense, axis=1, kind="stable")[:, :3]
-    weights = np.take_along_axis(dense, bones, axis=1)
-    weights /= weights.sum(axis=1, keepdims=True)
-    return np.where(weights > 0, bones, 0).astype(np.int32), weights
+    return slot_weights(dense)
 
 
 def smoothed(dense: Float, faces: NDArray, rounds: int) -> Float:

@@ -1,4 +1,4 @@
-"""Files written as a whole, and the errors by which a damaged `.npz` shows itself."""
+"""Files written as a whole, told by how they start, and the errors of a damaged `.npz`."""
 
 from __future__ import annotations
 
@@ -27,3 +27,12 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def starts_with(path: Path, magic: bytes) -> bool:
+    """Whether a file that can be read starts with certain bytes."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(magic)) == magic
+    except OSError:
+        return False

@@ -1,8 +1,10 @@
-"""Writing bags for tests with the library that defines them."""
+"""Bags for tests: written with the library that defines them, damaged, opened without it."""
 
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -139,3 +141,28 @@ def write_realsense_bag(path: Path, camera: Camera, steps: np.ndarray, unit: flo
         ):
             put(f"{stream}/image/metadata", KEY_VALUE, key, value, bag_time=bag_time)
     return bag.close()
+
+
+DAMAGES = ("cut", "head", "middle")
+
+
+def damaged(data: bytes, damage: str) -> bytes:
+    """A file that was cut off, or with its head or its middle overwritten."""
+    if damage == "cut":
+        return data[: len(data) * 2 // 3]
+    begin, wrong = (40, bytes(360)) if damage == "head" else (len(data) // 2, b"\xff" * 600)
+    return data[:begin] + wrong + data[begin + len(wrong) :]
+
+
+def told_without(package: str, *sources: str | Path) -> str:
+    """What opening sources says where a package is not installed, a line each."""
+    code = (
+        "import sys; sys.modules[sys.argv[1]] = None\n"
+        "from handtrack.camera.source import open_sequence\n"
+        "from handtrack.errors import MissingDependencyError\n"
+        "for source in sys.argv[2:]:\n"
+        "    try:\n        open_sequence(source)\n"
+        "    except MissingDependencyError as error:\n        print(error)\n"
+    )
+    words = [sys.executable, "-c", code, package, *map(str, sources)]
+    return subprocess.run(words, capture_output=True, text=True, check=True).stdout

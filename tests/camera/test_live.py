@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
 import pytest
 
 from handtrack.camera.camera import Camera
+from handtrack.camera.frame import DepthFrame
 from handtrack.camera.live import LiveImage, LiveInfo, LiveOptions, LiveSequence
 from handtrack.camera.readers.npz import write_npz_sequence
 from handtrack.camera.source import LIVE_SOURCES, open_sequence
@@ -69,6 +70,17 @@ def wait(condition: Callable[[], bool], seconds: float = 5.0) -> None:
         time.sleep(0.002)
 
 
+def unplugged(
+    driver: ScriptedDriver, live: LiveSequence
+) -> tuple[Iterator[DepthFrame], DepthFrame, DepthFrame]:
+    """Unplug after a first frame: the frames that follow, the first one, the news of the loss."""
+    frames = iter(live)
+    driver.send()
+    first = next(frames)
+    driver.unplug()
+    return frames, first, next(frames)
+
+
 @pytest.fixture
 def driver():
     return ScriptedDriver()
@@ -119,11 +131,7 @@ def test_what_comes_before_the_first_frame_is_asked_for_is_not_dropped(driver, l
 
 
 def test_an_unplugged_camera_is_told_and_taken_up_again_when_it_is_back(driver, live):
-    frames = iter(live)
-    driver.send()
-    next(frames)
-    driver.unplug()
-    lost = next(frames)
+    frames, _, lost = unplugged(driver, live)
     assert lost.problem is not None and "unplugged" in lost.problem
     assert not lost.depth.any()
     assert live.status == "reconnecting"
@@ -158,26 +166,18 @@ def test_attempts_to_reconnect_become_rarer():
 
 
 def test_a_clock_that_starts_anew_is_continued(driver, live):
-    frames = iter(live)
-    driver.send()
-    last = next(frames).time
-    driver.unplug()
-    next(frames)
+    frames, before, _ = unplugged(driver, live)
     driver.clock, driver.number, driver.connected = 0.0, 0, True
     wait(lambda: live.status == "streaming")
     driver.send()
     first = next(frames).time
-    assert last < first < last + 3.0
+    assert before.time < first < before.time + 3.0
     driver.send()
     assert next(frames).time - first == pytest.approx(0.02)
 
 
 def test_a_clock_that_went_on_is_kept(driver, live):
-    frames = iter(live)
-    driver.send()
-    next(frames)
-    driver.unplug()
-    next(frames)
+    frames, _, _ = unplugged(driver, live)
     driver.clock += 0.3
     driver.connected = True
     wait(lambda: live.status == "streaming")
@@ -186,11 +186,7 @@ def test_a_clock_that_went_on_is_kept(driver, live):
 
 
 def test_another_camera_in_its_place_ends_the_frames(driver, live):
-    frames = iter(live)
-    driver.send()
-    next(frames)
-    driver.unplug()
-    next(frames)
+    frames, _, _ = unplugged(driver, live)
     driver.camera, driver.connected = CAMERA.resize(32, 24), True
     with pytest.raises(DeviceError, match="other intrinsics"):
         next(frames)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -16,7 +14,7 @@ pytest.importorskip(
 
 import pyrealsense2 as rs
 
-from camera.ros_bags import write_realsense_bag
+from camera.ros_bags import DAMAGES, damaged, told_without, write_realsense_bag
 from handtrack.camera.camera import Camera
 from handtrack.camera.readers.software_camera import SoftwareCamera
 from handtrack.camera.source import open_sequence
@@ -82,19 +80,12 @@ def test_unit_and_camera_can_be_given(recording, steps):
         open_sequence(recording, camera=CAMERA.resize(32, 24))
 
 
-@pytest.mark.parametrize("damage", ["cut", "head", "middle"])
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_damaged_recordings_give_a_one_line_error_or_flagged_frames(
     recording, steps, tmp_path, damage
 ):
     path = tmp_path / recording.name
-    data = bytearray(recording.read_bytes())
-    if damage == "cut":
-        data = data[: len(data) // 2]
-    elif damage == "head":
-        data[40:400] = bytes(360)
-    else:
-        data[len(data) // 2 : len(data) // 2 + 500] = b"\xff" * 500
-    path.write_bytes(data)
+    path.write_bytes(damaged(recording.read_bytes(), damage))
     try:
         with open_sequence(path) as sequence:
             frames = list(sequence)
@@ -105,16 +96,6 @@ def test_damaged_recordings_give_a_one_line_error_or_flagged_frames(
 
 
 def test_without_pyrealsense2_the_message_says_what_to_install(recording):
-    code = (
-        "import sys; sys.modules['pyrealsense2'] = None\n"
-        "from handtrack.camera.source import open_sequence\n"
-        "from handtrack.errors import MissingDependencyError\n"
-        "for source in (sys.argv[1], 'realsense'):\n"
-        "    try:\n        open_sequence(source)\n"
-        "    except MissingDependencyError as error:\n        print(error)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(recording)], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.count("pip install 'handtrack[realsense]'") == 2
-    assert done.stdout.count("\n") == 2
+    told = told_without("pyrealsense2", recording, "realsense")
+    assert told.count("pip install 'handtrack[realsense]'") == 2
+    assert told.count("\n") == 2

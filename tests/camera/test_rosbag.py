@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import cv2
 import numpy as np
 import pytest
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'handtrack[rosbag]'")
 
-from camera.ros_bags import KINDS, BagWriter, write_depth_bag
+from camera.ros_bags import (
+    DAMAGES,
+    KINDS,
+    BagWriter,
+    damaged,
+    told_without,
+    write_depth_bag,
+)
 from handtrack.camera.camera import Camera
 from handtrack.camera.source import open_sequence
 from handtrack.errors import DamagedFileError, HandtrackError, InputError
@@ -162,18 +166,11 @@ def test_images_of_the_same_time_are_all_read(tmp_path, steps):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("damage", ["cut", "head", "middle"])
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_damaged_bags_give_a_one_line_error_or_flagged_frames(tmp_path, kind, damage, steps):
     path = write_depth_bag(tmp_path, kind, CAMERA, steps)
     file = next(f for f in path.iterdir() if f.suffix != ".yaml") if path.is_dir() else path
-    data = bytearray(file.read_bytes())
-    if damage == "cut":
-        data = data[: len(data) * 2 // 3]
-    elif damage == "head":
-        data[40:400] = bytes(360)
-    else:
-        data[len(data) // 2 : len(data) // 2 + 600] = b"\xff" * 600
-    file.write_bytes(data)
+    file.write_bytes(damaged(file.read_bytes(), damage))
     try:
         with open_sequence(path) as sequence:
             frames = list(sequence)
@@ -209,14 +206,5 @@ def test_a_bag_under_another_name_says_so(tmp_path, steps):
 
 def test_without_rosbags_the_message_says_what_to_install(tmp_path, steps):
     path = write_depth_bag(tmp_path, "rosbag1", CAMERA, steps)
-    code = (
-        "import sys; sys.modules['rosbags'] = None\n"
-        "from handtrack.camera.source import open_sequence\n"
-        "from handtrack.errors import MissingDependencyError\n"
-        "try:\n    open_sequence(sys.argv[1])\n"
-        "except MissingDependencyError as error:\n    print(error)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True
-    )
-    assert "pip install 'handtrack[rosbag]'" in done.stdout and done.stdout.count("\n") == 1
+    told = told_without("rosbags", path)
+    assert "pip install 'handtrack[rosbag]'" in told and told.count("\n") == 1

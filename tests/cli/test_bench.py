@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from cli.short_runs import synthesise
 from handtrack.cli import main
 from handtrack.evaluation.suites.suite import SUITES
 
@@ -36,10 +37,7 @@ def document(written: Path) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A few synthesised frames of a subject, with truth."""
-    path = tmp_path_factory.mktemp("recording") / "hand.npz"
-    words = ["synth", "recorded_hand_motion", "--frames", "877:885", "--subject", "3"]
-    assert main([*words, "--out", str(path), "--device", "cpu"]) == 0
-    return path
+    return synthesise(tmp_path_factory.mktemp("recording") / "hand.npz", 8, "--subject", "3")
 
 
 def test_the_file_holds_suite_device_versions_and_cases(document: dict[str, Any]) -> None:

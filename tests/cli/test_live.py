@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cli.short_runs import synthesise
 from handtrack.camera.sequence import RecordedSequence
 from handtrack.camera.source import open_sequence
 from handtrack.cli import main
@@ -20,10 +21,7 @@ COUNT = 6
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A few synthesised frames of a subject."""
-    path = tmp_path_factory.mktemp("live") / "hand.npz"
-    words = ["--frames", f"877:{877 + COUNT}", "--out", str(path), "--device", "cpu"]
-    assert main(["synth", "recorded_hand_motion", *words]) == 0
-    return path
+    return synthesise(tmp_path_factory.mktemp("live") / "hand.npz", COUNT)
 
 
 def live(*words: object) -> int:

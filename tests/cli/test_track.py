@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import handtrack
+from cli.short_runs import interrupt, results, synthesise
 from handtrack.artifacts import artifact_path
 from handtrack.camera.source import FORMATS, open_sequence
 from handtrack.cli import main
@@ -32,19 +33,13 @@ COUNT = 8
 @pytest.fixture(scope="module")
 def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A synthesised recording of a subject, as one file."""
-    path = tmp_path_factory.mktemp("track") / "hand.npz"
-    words = ["synth", "recorded_hand_motion", "--frames", f"877:{877 + COUNT}", "--subject", "3"]
-    assert main([*words, "--out", str(path), "--device", "cpu"]) == 0
-    return path
+    return synthesise(tmp_path_factory.mktemp("track") / "hand.npz", COUNT, "--subject", "3")
 
 
 @pytest.fixture(scope="module")
 def folder(sequence: Path) -> Path:
     """The same as PNG images, which carry no labels."""
-    path = sequence.parent / "folder"
-    words = ["synth", "recorded_hand_motion", "--frames", f"877:{877 + COUNT}", "--subject", "3"]
-    assert main([*words, "--out", str(path), "--device", "cpu"]) == 0
-    return path
+    return synthesise(sequence.parent / "folder", COUNT, "--subject", "3")
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +52,6 @@ def run(sequence: Path) -> Path:
 
 def track(source: Path, out: Path, *more: str) -> int:
     return main(["track", str(source), "--out", str(out), "--device", "cpu", *more])
-
-
-def results(out: Path) -> dict[str, np.ndarray]:
-    with np.load(out / "results.npz", allow_pickle=False) as data:
-        return dict(data)
 
 
 def test_everything_is_written_and_fits_together(sequence: Path, run: Path) -> None:
@@ -272,17 +262,7 @@ def test_labelled_joints_of_nyu_give_first_pose_and_size(
 def test_an_interrupted_run_keeps_what_it_has(
     sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from handtrack.tracking.tracker import HandTracker
-
-    original, calls = HandTracker.track, []
-
-    def interrupted(self: HandTracker, depth: object) -> object:
-        calls.append(1)
-        if len(calls) == 5:
-            raise KeyboardInterrupt
-        return original(self, depth)
-
-    monkeypatch.setattr(HandTracker, "track", interrupted)
+    interrupt(monkeypatch, 5)
     assert track(sequence, tmp_path / "out", "--video") == 130
     assert len(results(tmp_path / "out")["pose"]) == 4
     assert (tmp_path / "out" / "overlay.mp4").is_file()

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cli.short_runs import interrupt, results, synthesise
 from handtrack.cli import main, track_many
 from handtrack.cli.track import TrackOptions
 from handtrack.errors import InputError
@@ -22,10 +23,7 @@ COUNT = 4
 @pytest.fixture(scope="module")
 def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short synthesised recording."""
-    path = tmp_path_factory.mktemp("many") / "hand.npz"
-    words = ["synth", "recorded_hand_motion", "--frames", f"877:{877 + COUNT}", "--subject", "3"]
-    assert main([*words, "--out", str(path), "--device", "cpu"]) == 0
-    return path
+    return synthesise(tmp_path_factory.mktemp("many") / "hand.npz", COUNT, "--subject", "3")
 
 
 @pytest.fixture
@@ -41,11 +39,6 @@ def sources(sequence: Path, tmp_path: Path) -> list[Path]:
 def track(sources: list[Path], out: Path, *more: str) -> int:
     words = ["track", *map(str, sources), "--out", str(out), "--device", "cpu"]
     return main([*words, "--tracker", "model_based", *more])
-
-
-def results(folder: Path) -> dict[str, np.ndarray]:
-    with np.load(folder / "results.npz", allow_pickle=False) as data:
-        return dict(data)
 
 
 def written(out: Path) -> list[str]:
@@ -106,17 +99,7 @@ def test_what_is_done_is_left_out_unless_something_else_is_asked_for(
 def test_results_of_an_interrupted_run_are_not_taken_for_done(
     sources: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from handtrack.tracking.tracker import HandTracker
-
-    original, calls = HandTracker.track, []
-
-    def interrupted(self: HandTracker, depth: object) -> object:
-        calls.append(1)
-        if len(calls) == COUNT + 2:
-            raise KeyboardInterrupt
-        return original(self, depth)
-
-    monkeypatch.setattr(HandTracker, "track", interrupted)
+    interrupt(monkeypatch, COUNT + 2)
     assert track(sources, tmp_path / "out") == 130
     facts = [json.loads((tmp_path / "out" / n / "config.json").read_text()) for n in "ab"]
     assert [fact["complete"] for fact in facts] == [True, False]

@@ -11,7 +11,7 @@ import pytest
 from handtrack.camera.camera import Camera
 from handtrack.camera.frame import DepthFrame
 from handtrack.evaluation.run_record import RunRecord
-from handtrack.export.track import FOLLOWED, Track, read_track
+from handtrack.export.track import Track, read_track
 from handtrack.fitting.uncertainty import FitInformation
 from handtrack.hand.model import HandModel
 from handtrack.hand.shape import HandShape
@@ -56,7 +56,7 @@ def make_results(side: Side) -> list[HandResult]:
                 hand=hand,
                 problem="nothing there" if state is TrackState.NO_HAND else None,
                 timings={"total": 1.0},
-                information=knowledge if state in FOLLOWED else None,
+                information=knowledge if state.sure else None,
             )
         )
     return results

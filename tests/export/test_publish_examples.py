@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
-import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +15,7 @@ import pytest
 from handtrack.export.publisher import Publisher
 from handtrack.hand.side import Side
 from handtrack.tracking.result import HandResult
+from oracles.browser import headless_browser
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -65,21 +64,16 @@ def test_the_python_client_prints_the_fingertip(
     assert any("no_hand: nothing there" in line for line in lines)
 
 
+@pytest.fixture
+def browser() -> Iterator[Any]:
+    yield from headless_browser()
+
+
 @pytest.mark.parametrize("side", ["left"], indirect=True, scope="session")
 def test_the_page_draws_the_hand(
-    hand_results: list[HandResult], frame_at: Callable[[int], Any], side: Side
+    hand_results: list[HandResult], frame_at: Callable[[int], Any], side: Side, browser: Any
 ) -> None:
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="playwright, which drives a browser, is not installed"
-    )
-    browser_path = os.environ.get("HANDTRACK_CHROMIUM") or shutil.which("chromium")
-    if browser_path is None:
-        pytest.skip("there is no Chromium to open the page with")
-    with (
-        publishing(hand_results[2:8], frame_at) as publisher,
-        playwright.sync_playwright() as driver,
-    ):
-        browser = driver.chromium.launch(executable_path=browser_path, args=["--no-sandbox"])
+    with publishing(hand_results[2:8], frame_at) as publisher:
         page = browser.new_page(viewport={"width": 640, "height": 480})
         problems: list[str] = []
         page.on("console", lambda message: problems.append(message.text))
@@ -93,4 +87,3 @@ def test_the_page_draws_the_hand(
             " let n = 0; for (let k = 3; k < d.length; k += 4) n += d[k] > 0; return n; }"
         )
         assert 500 < drawn < 100_000 and not problems
-        browser.close()

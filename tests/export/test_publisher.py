@@ -6,7 +6,7 @@ import json
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from handtrack.camera.frame import DepthFrame
 from handtrack.errors import InputError, MissingDependencyError
 from handtrack.export.publisher import Publisher
 from handtrack.tracking.result import HandResult
+from oracles.collector import wait_until
 
 CAMERA = Camera(width=8, height=6, fx=6.0, fy=6.0, cx=3.5, cy=2.5)
 SCHEMA = Path(__file__).parents[2] / "docs" / "frame.schema.json"
@@ -37,14 +38,6 @@ def frame(index: int) -> DepthFrame:
     )
 
 
-def wait_for(what: Callable[[], bool], seconds: float = 10.0) -> None:
-    """Until something is so."""
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.002)
-
-
 @pytest.fixture
 def publisher() -> Iterator[Publisher]:
     with Publisher(port=0) as publisher:
@@ -54,7 +47,7 @@ def publisher() -> Iterator[Publisher]:
 def connect(publisher: Publisher, count: int = 1, **options: Any) -> Any:
     """A client that the publisher knows of, being then its only one or its `count`th."""
     connection = client.connect(publisher.url, compression=None, **options)
-    wait_for(lambda: publisher.clients == count)
+    wait_until(lambda: publisher.clients == count, seconds=10.0)
     return connection
 
 
@@ -88,7 +81,7 @@ def test_many_clients_get_the_same_frames(
         assert len(messages) == 1 and json.loads(messages.pop())["frame"] == index
     for listener in listeners:
         listener.close()
-    wait_for(lambda: publisher.clients == 0)
+    wait_until(lambda: publisher.clients == 0, seconds=10.0)
     publisher.frame(frame(9), hand_results[5])
     assert publisher.dropped == 0 and publisher.sent == 5 * 24
 
@@ -186,7 +179,7 @@ def test_a_client_that_stalls_for_long_is_let_go(
     for index in range(150):
         publisher.frame(frame(index), hand_results[5])
         quick.recv(timeout=5)
-    wait_for(lambda: publisher.clients == 1)
+    wait_until(lambda: publisher.clients == 1, seconds=10.0)
     publisher.frame(frame(150), hand_results[5])
     assert json.loads(quick.recv(timeout=5))["frame"] == 150
     quick.close()
@@ -202,7 +195,7 @@ def test_a_client_that_vanishes_or_talks_is_no_harm(
             talker.send("hello")
         vanishing = connect(publisher, 2)
         vanishing.socket.shutdown(socket.SHUT_RDWR)
-        wait_for(lambda: publisher.clients == 1)
+        wait_until(lambda: publisher.clients == 1, seconds=10.0)
         publisher.frame(frame(3), hand_results[5])
         assert json.loads(talker.recv(timeout=5))["frame"] == 3
     with socket.create_connection((publisher.host, publisher.port)) as stranger:

@@ -16,9 +16,9 @@ from handtrack.forest.config import ForestConfig, TrainingConfig
 from handtrack.forest.crops import DEPTH_UNIT, Cropper, TrainingCrops, crops_of
 from handtrack.forest.scenes import RegionCrops
 from handtrack.forest.training import ForestTrainer
+from handtrack.hand.kinematics import palm_centre
 from handtrack.hand.model import HandModel, ShapedHand
 from handtrack.synthesis.dataset import DatasetBatch, DatasetConfig, SyntheticDataset
-from handtrack.synthesis.viewpoints import palm_centre
 
 TINY = TrainingConfig(
     forest=ForestConfig(

@@ -7,13 +7,12 @@ import pytest
 
 from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
-from handtrack.hand.kinematics import keypoints
+from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.hand.model import HandModel
 from handtrack.synthesis.sequence import CAMERAS
 from handtrack.synthesis.viewpoints import (
     FOREARM,
     NEAREST,
-    palm_centre,
     place_in_view,
     random_elbow,
     random_rotation,

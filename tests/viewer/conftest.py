@@ -1,4 +1,4 @@
-"""What tests of the viewer share: the sample, a tracker that knows it, threads."""
+"""What tests of the viewer share: the sample, a tracker that knows it, a pose, threads."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from handtrack.artifacts import artifact_path
 from handtrack.camera.sequence import RecordedSequence
 from handtrack.camera.source import open_sequence
 from handtrack.hand.shape import HandShape
+from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.tracking.tracker import HandTracker
 from oracles.automatic import AutomaticOracle
 from oracles.collector import Collector
+from oracles.scenes import SMALL_CAMERA, seen_poses, shaped_hand
 
 
 @pytest.fixture(scope="session")
@@ -41,6 +43,18 @@ def make_tracker(sample: RecordedSequence) -> Callable[[str], HandTracker]:
         return HandTracker(sample.camera, config=oracle, shape=shape, device="cpu")
 
     return make
+
+
+@pytest.fixture(scope="module")
+def pose() -> np.ndarray:
+    """A pose of the usual hand before the small camera."""
+    return seen_poses(shaped_hand(), np.random.default_rng(8), 1, turn=0.3)[0]
+
+
+@pytest.fixture(scope="module")
+def depth(pose: np.ndarray) -> np.ndarray:
+    """The depth image of that pose."""
+    return DepthRenderer(shaped_hand(), SMALL_CAMERA, device="cpu", batch=1).render(pose[None])[0]
 
 
 @pytest.fixture

@@ -25,16 +25,6 @@ PLAIN = PictureStyle(panel=(320, 240), text=False, skeleton=False, side_by_side=
 """Mesh over depth, twice the camera's size."""
 
 
-@pytest.fixture(scope="module")
-def pose() -> np.ndarray:
-    return seen_poses(shaped_hand(), np.random.default_rng(8), 1, turn=0.3)[0]
-
-
-@pytest.fixture(scope="module")
-def depth(pose: np.ndarray) -> np.ndarray:
-    return DepthRenderer(shaped_hand(), SMALL_CAMERA, device="cpu", batch=1).render(pose[None])[0]
-
-
 def painter(style: PictureStyle) -> OverlayPainter:
     return OverlayPainter(shaped_hand(), SMALL_CAMERA, style=style)
 

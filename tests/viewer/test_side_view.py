@@ -7,22 +7,11 @@ import pytest
 
 from handtrack.errors import InputError
 from handtrack.hand.kinematics import keypoints
-from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.viewer.depth_colours import EMPTY_COLOUR
 from handtrack.viewer.side_view import EYE_DISTANCE, POINT_COLOUR, SidePainter, SideStyle
-from oracles.scenes import SMALL_CAMERA, seen_poses, shaped_hand
+from oracles.scenes import SMALL_CAMERA, shaped_hand
 
 PANEL = (200, 160)
-
-
-@pytest.fixture(scope="module")
-def pose() -> np.ndarray:
-    return seen_poses(shaped_hand(), np.random.default_rng(8), 1, turn=0.3)[0]
-
-
-@pytest.fixture(scope="module")
-def depth(pose: np.ndarray) -> np.ndarray:
-    return DepthRenderer(shaped_hand(), SMALL_CAMERA, device="cpu", batch=1).render(pose[None])[0]
 
 
 def painter(**style: float) -> SidePainter:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
 from handtrack.camera.frame import DepthFrame, check_depth
-from handtrack.camera.sequence import Sequence, Subject
+from handtrack.camera.sequence import Sequence, Subject, check_override
 from handtrack.errors import DeviceError, InputError
 
 STREAMING, RECONNECTING, FAILED, CLOSED = "streaming", "reconnecting", "failed", "closed"
@@ -133,16 +133,11 @@ class LiveSequence(Sequence):
         self._driver, self._options, self.format = driver, options, format
         try:
             info = driver.open()
-            if camera is not None and camera.shape != info.camera.shape:
-                raise InputError(
-                    f"the camera given is {camera.width}x{camera.height}: {info.name} sends "
-                    f"{info.camera.width}x{info.camera.height}"
-                )
+            self.camera, self._own = check_override(camera, info.camera, info.name), info.camera
         except BaseException:
             driver.close()
             raise
         self.name, self.frames_per_second = info.name, info.frames_per_second
-        self.camera, self._own = camera or info.camera, info.camera
         self.subject = info.subject
         self._mail = threading.Condition()
         self._slot: tuple[LiveImage, float] | None = None  # with its time of arrival
@@ -214,11 +209,8 @@ class LiveSequence(Sequence):
 
     def _frame(self, image: LiveImage, received: float) -> DepthFrame:
         """The image as a frame in metres."""
-        if image.pixels.shape == self.camera.shape:
-            metres = np.multiply(image.pixels, np.float32(image.unit), dtype=np.float32)
-            depth, problem = check_depth(metres, self.camera)
-        else:
-            depth, problem = check_depth(image.pixels, self.camera)  # which says what is wrong
+        metres = np.multiply(image.pixels, np.float32(image.unit), dtype=np.float32)
+        depth, problem = check_depth(metres, self.camera)
         return self._numbered(depth, image.time, received, problem)
 
     def _nothing(self, problem: str) -> DepthFrame:

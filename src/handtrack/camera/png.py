@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.errors import DamagedFileError, MissingFileError
+from handtrack.files import starts_with
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
@@ -37,11 +38,7 @@ class PngHeader:
 
 def is_png(path: Path) -> bool:
     """Whether a file starts as a PNG does."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(SIGNATURE)) == SIGNATURE
-    except OSError:
-        return False
+    return starts_with(path, SIGNATURE)
 
 
 def read_png_header(path: Path) -> PngHeader:

@@ -13,7 +13,7 @@ import queue
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -166,9 +166,8 @@ class Recorder:
 
     def _put_line(self, line: str) -> None:
         """A line of the table of times, with the system before the next step."""
-        file: IO[str] = self._times
-        file.write(f"{line}\n")
-        file.flush()
+        self._times.write(f"{line}\n")
+        self._times.flush()
 
     def _unwritable(self, error: OSError) -> InputError:
         return InputError(

@@ -102,6 +102,11 @@ def find_hand_regions(
     return _without_doubles(sorted(found, key=lambda region: -region.score))[:max_regions]
 
 
+def centres_of(regions: list[HandRegion]) -> NDArray[np.float64]:
+    """Middles of regions [m], shape (n, 3)."""
+    return np.array([region.centre for region in regions]).reshape(-1, 3)
+
+
 def wrists_of(regions: list[HandRegion]) -> NDArray[np.float64]:
     """Where regions join an arm [m], NaN where they stand alone, shape (n, 3)."""
     nowhere = np.full(3, np.nan)

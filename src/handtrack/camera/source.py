@@ -85,9 +85,9 @@ def open_sequence(
         raise InputError(f"camera is a {type(camera).__name__}: expected a handtrack.Camera")
     if depth_unit is not None:
         check_unit(depth_unit, "the arguments")
-    kind, colon, detail = source.partition(":") if isinstance(source, str) else ("", "", "")
+    kind, _, detail = source.partition(":") if isinstance(source, str) else ("", "", "")
     if kind in LIVE_SOURCES and format is None:
-        return _open_live(kind, detail if colon else None, camera)
+        return _open_live(kind, detail, camera)
     path = _existing(source)
     chosen = reader(format) if format is not None else _recognise(path)
     more = {}
@@ -98,12 +98,12 @@ def open_sequence(
     return chosen(path, camera=camera, depth_unit=depth_unit, **more)
 
 
-def _open_live(kind: str, detail: str | None, camera: Camera | None) -> LiveSequence:
+def _open_live(kind: str, detail: str, camera: Camera | None) -> LiveSequence:
     """A live source by its name and what stands after the colon."""
     if kind == "realsense":
         from handtrack.camera.readers.realsense_live import RealSenseDriver
 
-        return LiveSequence(RealSenseDriver(detail or ""), format=kind, camera=camera)
+        return LiveSequence(RealSenseDriver(detail), format=kind, camera=camera)
     from handtrack.camera.readers.replay import ReplayDriver
 
     if not detail:

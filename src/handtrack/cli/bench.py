@@ -167,16 +167,17 @@ def _recorded(sequence: Sequence, options: BenchOptions) -> RecordedFrames:
     """What trackers are told about an open sequence."""
     from handtrack.camera.sequence import RecordedSequence
     from handtrack.cli.first_pose import first_labelled, labelled_pose, read_pose
-    from handtrack.cli.track import choose_shape
+    from handtrack.cli.track import choose_shape, choose_side
     from handtrack.errors import InputError
     from handtrack.evaluation.suites.suite import RecordedFrames
     from handtrack.hand.model import HandModel
+    from handtrack.hand.shape import HandShape
 
     if not isinstance(sequence, RecordedSequence) or not len(sequence):
         raise InputError(f"{options.sequence} holds no frame: expected a recording")
     model = HandModel.load()
     labelled = first_labelled(sequence)
-    side = options.side or (sequence.subject.side if sequence.subject else None) or "right"
+    side = choose_side(options.side, sequence)
     wanted = "mean" if options.shape == "mean" else None
     shape, origin = choose_shape(wanted, sequence, labelled, model, side)
     if options.start != "truth":
@@ -191,7 +192,7 @@ def _recorded(sequence: Sequence, options: BenchOptions) -> RecordedFrames:
     return RecordedFrames(
         # A recording has a length and numbered frames, all that a run asks of it.
         name=sequence.name, frames=cast("Frames[DepthFrame]", sequence), starts=starts, side=side,
-        shape=shape, notes=(f"{side} hand; shape: {origin}; first pose: {told}",),
+        shape=shape or HandShape(), notes=(f"{side} hand; shape: {origin}; first pose: {told}",),
     )  # fmt: skip
 
 

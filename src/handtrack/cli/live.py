@@ -74,7 +74,7 @@ def run(options: LiveOptions) -> int:
                 print(f"publishing at {publisher.url}", flush=True)
                 yield publisher
             if options.record is not None:
-                yield make_recorder(options.record, sequence, side, new=False)
+                yield make_recorder(options.record, sequence, side)
             if options.headless:
                 yield _Count(stack.enter_context(counting(None, "tracking")))
 
@@ -94,8 +94,9 @@ def parse_address(text: str) -> tuple[str, int]:
 
     host, colon, port = text.rpartition(":")
     if not colon and port.isdecimal():
-        # This machine, as `handtrack.export.publisher` has it.
-        host, colon = "127.0.0.1", ":"
+        from handtrack.export.publisher import HOST
+
+        host, colon = HOST, ":"
     if not colon or not host or not port.isdecimal() or not 0 <= int(port) < 65536:
         raise InputError(f"{text!r} is no address: expected HOST:PORT, such as 127.0.0.1:8765")
     return host.strip("[]"), int(port)

@@ -77,11 +77,10 @@ def run_session(
     Raises:
         HandtrackError: The source or an option is unusable, or a package is missing.
     """
-    from handtrack.camera.sequence import RecordedSequence
     from handtrack.camera.source import open_sequence
     from handtrack.cli import compute_device
     from handtrack.cli.first_pose import first_labelled
-    from handtrack.cli.track import MEAN_HAND, choose_shape
+    from handtrack.cli.track import choose_shape, choose_side
     from handtrack.hand.model import HandModel
     from handtrack.tracking.tracker import HandTracker
     from handtrack.viewer.controls import Controls
@@ -91,16 +90,15 @@ def run_session(
 
     with open_sequence(source) as sequence:
         model = HandModel.load()
-        side = options.side or (sequence.subject.side if sequence.subject else None) or "right"
-        labelled = first_labelled(sequence) if isinstance(sequence, RecordedSequence) else None
-        shape, origin = choose_shape(options.shape, sequence, labelled, model, side)
+        side = choose_side(options.side, sequence)
+        shape, _ = choose_shape(options.shape, sequence, first_labelled(sequence), model, side)
         device = compute_device(options.device)
 
         def make_tracker(name: str) -> HandTracker:
             with explained("loading the tracker"):
                 return HandTracker(
-                    sequence.camera, side=side, shape=None if origin == MEAN_HAND else shape,
-                    device=device.alias, model=model, tracker=name, seed=options.seed,
+                    sequence.camera, side=side, shape=shape, device=device.alias, model=model,
+                    tracker=name, seed=options.seed,
                 )  # fmt: skip
 
         playback, controls = Playback(sequence), Controls(wishes)
@@ -112,7 +110,9 @@ def run_session(
                 viewer = _open_page(options, controls, playback)
             loop = TrackingLoop(
                 playback, make_tracker, controls, viewer=viewer, sinks=sinks,
-                make_recorder=lambda: make_recorder(options.recordings, sequence, side),
+                make_recorder=lambda: make_recorder(
+                    options.recordings / f"{datetime.now():%Y-%m-%d_%H-%M-%S}", sequence, side
+                ),
                 first_pose=_labelled_poses(model), linger=not headless, device=device.alias,
             )  # fmt: skip
         except BaseException:
@@ -127,19 +127,16 @@ def run_session(
     return 0
 
 
-def make_recorder(folder: Path, sequence: Sequence, side: str, *, new: bool = True) -> Recorder:
+def make_recorder(folder: Path, sequence: Sequence, side: str) -> Recorder:
     """A recorder of a source's frames.
 
     Args:
         folder: Where to.
         sequence: The source.
         side: Whose hand it is.
-        new: Record into a folder in there, named after the time of day.
     """
     from handtrack.camera.recorder import Recorder
 
-    if new:
-        folder = folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
     return Recorder(
         folder, sequence.camera, frames_per_second=sequence.frames_per_second, side=side
     )

@@ -23,7 +23,7 @@ FormatName = Literal[
 ]  # fmt: skip
 """Names in `handtrack.camera.source.FORMATS`."""
 
-MEAN_HAND = "mean hand"
+_MEAN_HAND = "mean hand"
 """Where a shape comes from that nobody gave."""
 
 
@@ -126,14 +126,20 @@ def run(options: TrackOptions) -> int:
     return INTERRUPTED if tracked.interrupted and not tracked.live else 0
 
 
+def choose_side(wanted: str | None, sequence: Sequence) -> str:
+    """Which hand it is: the one that is asked for, else what the sequence says, else right."""
+    told = sequence.subject.side if sequence.subject else None
+    return wanted or told or "right"
+
+
 def choose_shape(
     wanted: str | None,
     sequence: Sequence,
     labelled: DepthFrame | None,
     model: HandModel,
     side: str,
-) -> tuple[HandShape, str]:
-    """Shape of the hand, and where it comes from in words.
+) -> tuple[HandShape | None, str]:
+    """Shape of the hand, None for the mean hand, and where it comes from in words.
 
     Args:
         wanted: "mean", a file, or None for what the sequence tells.
@@ -148,7 +154,7 @@ def choose_shape(
     from handtrack.hand.shape import HandShape
 
     if wanted == "mean":
-        return HandShape(), MEAN_HAND
+        return None, _MEAN_HAND
     if wanted is not None:
         return HandShape.load(wanted), wanted
     subject = sequence.subject
@@ -164,4 +170,4 @@ def choose_shape(
         scale = labelled_scale(labelled.truth, model, side)
         if scale != 1.0:
             return HandShape(scale=scale), f"mean hand, {scale:.3f} times as large (labels)"
-    return HandShape(), MEAN_HAND
+    return None, _MEAN_HAND

@@ -118,7 +118,6 @@ def run_task(options: TrackOptions, task: Task) -> Outcome:
     import numpy as np
 
     from handtrack.cli.track_sequence import is_done, track_sequence
-    from handtrack.tracking.result import TrackState
 
     if options.resume and is_done(options, task.source, task.out):
         return Outcome(name=task.name, state=SKIPPED)
@@ -126,11 +125,10 @@ def run_task(options: TrackOptions, task: Task) -> Outcome:
         tracked = track_sequence(options, task.source, task.out, bar=False)
     except Exception as error:  # also a mistake of ours must not stop the others
         return _failed(task, error)
-    states, errors = tracked.record.states, tracked.record.depth_errors
+    record, errors = tracked.record, tracked.record.depth_errors
     return Outcome(
         name=task.name, state=INTERRUPTED if tracked.interrupted else DONE,
-        frames=len(tracked.record),
-        found=states[TrackState.TRACKING] + states[TrackState.RECOVERED],
+        frames=len(record), found=sum(result.state.sure for result in record.results),
         depth_error_mm=1e3 * float(np.nanmedian(errors)) if np.isfinite(errors).any() else np.nan,
     )  # fmt: skip
 

@@ -6,12 +6,12 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from handtrack.cli.track import MEAN_HAND, TrackOptions, choose_shape
+from handtrack.cli.track import TrackOptions, choose_shape, choose_side
 
 if TYPE_CHECKING:
     from handtrack.camera.frame import DepthFrame
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from handtrack.cli.first_pose import Pose
     from handtrack.evaluation.run_record import RunRecord
     from handtrack.hand.model import HandModel
-    from handtrack.hand.shape import HandShape
     from handtrack.tracking.result import HandResult
     from handtrack.tracking.tracker import HandTracker
 
@@ -78,32 +77,30 @@ def track_sequence(
         raise InputError(f"{out} is a file: expected a folder for the results")
     with open_sequence(source, format=options.format, topic=options.topic) as sequence:
         model = HandModel.load()
-        side = options.side or (sequence.subject.side if sequence.subject else None) or "right"
+        side = choose_side(options.side, sequence)
         start = _Start.choose(options, sequence)
         shape, origin = choose_shape(options.shape, sequence, start.labelled, model, side)
         device = compute_device(options.device)
         tracker = HandTracker(
-            sequence.camera, side=side, shape=None if origin == MEAN_HAND else shape,
-            device=device.alias, model=model, tracker=options.tracker, seed=options.seed,
-            adapt_shape=options.adapt_shape,
+            sequence.camera, side=side, shape=shape, device=device.alias, model=model,
+            tracker=options.tracker, seed=options.seed, adapt_shape=options.adapt_shape,
         )  # fmt: skip
         start.pose = start.resolve(tracker, model)
         out.mkdir(parents=True, exist_ok=True)
-        record = RunRecord(camera=sequence.camera, shape=shape, side=side)
+        record = RunRecord(camera=sequence.camera, shape=tracker.shape, side=side)
         follow = _Follow(options, sequence, tracker, start, record, out, bar)
         follow.run()
         dropped = sequence.dropped
+        record.shape = tracker.shape  # as it was given, or found since
         if options.adapt_shape:
-            shape = tracker.shape
             sure = "sure" if tracker.shape_frozen else "not sure yet"
-            record.shape, origin = shape, f"{origin}, then adapted ({sure})"
+            origin = f"{origin}, then adapted ({sure})"
         elif tracker.size != 1.0:
-            shape = replace(shape, scale=shape.scale * tracker.size)
-            record.shape, origin = shape, f"{origin}, found {tracker.size:.3f} times as large"
+            origin = f"{origin}, found {tracker.size:.3f} times as large"
     if not record:
         raise InputError(f"{source} has no frame")
     record.save(out, source=source)
-    facts = _resolved(options, source, sequence, tracker, start, shape, origin, str(device.alias))
+    facts = _resolved(options, source, sequence, tracker, start, origin, str(device.alias))
     facts |= {
         "frames": len(record), "complete": not follow.interrupted or sequence.live,
         "request": request(options, source),
@@ -278,7 +275,6 @@ def _resolved(
     sequence: Sequence,
     tracker: HandTracker,
     start: _Start,
-    shape: HandShape,
     shape_origin: str,
     device: str,
 ) -> dict[str, Any]:
@@ -289,6 +285,7 @@ def _resolved(
 
     root = artifact_root()
     pose = None if start.pose is None else start.pose.tolist()
+    shape = tracker.shape
     return {
         "command": "track",
         "source": source,

@@ -6,6 +6,7 @@ import csv
 import io
 import os
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -115,7 +116,7 @@ class RunRecord:
         folder = Path(folder)
         return [
             write_whole(folder / "results.npz", self._npz(source)),
-            write_whole(folder / "results.csv", self._csv().encode("utf-8")),
+            write_whole(folder / "results.csv", self._csv()),
         ]
 
     def _npz(self, source: str) -> bytes:
@@ -155,18 +156,49 @@ class RunRecord:
         np.savez_compressed(buffer, **arrays)
         return buffer.getvalue()
 
-    def _csv(self) -> str:
-        """Content of results.csv; what is not known is an empty cell."""
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for frame, time, result in zip(self.frames, self.times, self.results, strict=True):
-            numbers = [
-                result.depth_error, *result.pose, *result.keypoints.ravel(), *result.keypoint_std
-            ]  # fmt: skip
-            cells = [f"{number:.7g}" if np.isfinite(number) else "" for number in numbers]
-            writer.writerow([frame, f"{time:.6f}", result.state.value, *cells])
-        return text.getvalue()
+    def _csv(self) -> bytes:
+        """Content of results.csv."""
+        return csv_table(
+            self.frames,
+            self.times,
+            [result.state for result in self.results],
+            self.depth_errors,
+            np.stack([result.pose for result in self.results]),
+            self.keypoints,
+            self.keypoint_std,
+        )
+
+
+def csv_table(
+    frames: Iterable[int],
+    times: Iterable[float],
+    states: Sequence[TrackState],
+    depth_errors: NDArray[np.floating],
+    poses: NDArray[np.floating],
+    keypoints: NDArray[np.floating],
+    keypoint_std: NDArray[np.floating],
+) -> bytes:
+    """Table with `COLUMNS` and a row per frame; what is not known is an empty cell.
+
+    Args:
+        frames: Number of each frame.
+        times: Its time stamp [s].
+        states: Its state, n of them.
+        depth_errors: Depth errors E_d [m], shape (n,).
+        poses: Poses, shape (n, 28).
+        keypoints: Keypoints [m], shape (n, 21, 3).
+        keypoint_std: One sigma of each [m], shape (n, 21).
+    """
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    numbers = np.concatenate(
+        [depth_errors[:, None], poses, keypoints.reshape(len(states), -1), keypoint_std], axis=1
+    )
+    for frame, time, state, row in zip(frames, times, states, numbers, strict=True):
+        cells = [f"{number:.7g}" if np.isfinite(number) else "" for number in row]
+        writer.writerow([frame, f"{time:.6f}", state.value, *cells])
+    return text.getvalue().encode("utf-8")
 
 
 def write_whole(path: Path, content: bytes) -> Path:

@@ -33,8 +33,6 @@ _WARM_UP = 2
 _NO_DEPTH = np.zeros((0, 0), np.float32)
 """In place of an image that was tracked: a run keeps no images."""
 
-_SURE = (TrackState.TRACKING, TrackState.RECOVERED)
-
 
 def no_progress(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
     """Pass the items on in silence."""
@@ -76,7 +74,7 @@ class Run:
     @property
     def sure(self) -> NDArray[np.bool_]:
         """Frames whose pose the tracker vouches for (TRACKING or RECOVERED), shape (n,)."""
-        return np.array([state in _SURE for state in self.states], bool)
+        return np.array([state.sure for state in self.states], bool)
 
     @property
     def labelled(self) -> NDArray[np.bool_]:

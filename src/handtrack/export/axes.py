@@ -1,4 +1,4 @@
-"""From the camera frame to the axes of animation and virtual reality: x right, y up, z backward.
+"""From our frames to those of animation and virtual reality: x right, y up, z backward.
 
 The camera frame has x right, y down, z forward; the two differ by half a turn about x. Both are
 right-handed, so a left hand stays a left hand.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from handtrack.hand.skeleton import BONE_PARENTS
 
 Float = NDArray[np.float64]
 
@@ -23,6 +25,16 @@ def points_y_up(points: ArrayLike) -> Float:
 def rotations_y_up(rotations: ArrayLike) -> Float:
     """Rotations R_camera_b, shape (..., 3, 3), as rotations from b to the frame with y up."""
     return UP_CAMERA[:, None] * np.asarray(rotations, np.float64)
+
+
+def rotations_in_parents(rotations: ArrayLike) -> Float:
+    """Rotations of the bones, shape (n, 16, 3, 3), each in the frame of its parent bone.
+
+    The palm, which has none, keeps its own.
+    """
+    local = np.array(rotations, np.float64)
+    local[:, 1:] = np.swapaxes(local[:, BONE_PARENTS[1:]], -1, -2) @ local[:, 1:]
+    return local
 
 
 def continuous_quats(quats: ArrayLike) -> Float:

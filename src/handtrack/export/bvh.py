@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from handtrack.export.axes import points_y_up, rotations_y_up
+from handtrack.export.axes import points_y_up, rotations_in_parents, rotations_y_up
 from handtrack.export.track import Track
 from handtrack.hand.kinematics import bone_frames
 from handtrack.hand.model import ShapedHand, skeleton_frames
@@ -34,21 +34,12 @@ def bvh(track: Track) -> bytes:
     Raises:
         InputError: No frame was followed.
     """
-    poses = track.held_poses()
-    lines = ["HIERARCHY", *_hierarchy(track.hand), "MOTION", f"Frames: {len(track)}"]
+    poses, flat = track.held_poses(), _flat(track.hand)
+    lines = ["HIERARCHY", *_hierarchy(track.hand, flat), "MOTION", f"Frames: {len(track)}"]
     lines.append(f"Frame Time: {track.interval:.9f}")
-    lines += [" ".join(f"{number:.6f}" for number in row) for row in _motion(track.hand, poses)]
+    motion = _motion(track.hand, flat, poses)
+    lines += [" ".join(f"{number:.6f}" for number in row) for row in motion]
     return ("\n".join(lines) + "\n").encode("ascii")
-
-
-def depth_first() -> list[int]:
-    """Bones in the order of the file: each before its children."""
-
-    def below(bone: int) -> list[int]:
-        children = [child for child, parent in enumerate(BONE_PARENTS) if parent == bone]
-        return [bone, *(found for child in children for found in below(child))]
-
-    return below(0)
 
 
 def _flat(hand: ShapedHand) -> Float:
@@ -59,9 +50,8 @@ def _flat(hand: ShapedHand) -> Float:
     return rotations
 
 
-def _hierarchy(hand: ShapedHand, bone: int = 0, indent: str = "") -> list[str]:
+def _hierarchy(hand: ShapedHand, flat: Float, bone: int = 0, indent: str = "") -> list[str]:
     """Lines of one bone and everything below it."""
-    flat = _flat(hand)
     parent = BONE_PARENTS[bone]
     inner = indent + "  "
     offset = flat[parent] @ hand.bone_origins[bone] if parent >= 0 else np.zeros(3)
@@ -74,7 +64,7 @@ def _hierarchy(hand: ShapedHand, bone: int = 0, indent: str = "") -> list[str]:
     ]
     for child, its_parent in enumerate(BONE_PARENTS):
         if its_parent == bone:
-            lines += _hierarchy(hand, child, inner)
+            lines += _hierarchy(hand, flat, child, inner)
     if bone in DISTAL_BONES:
         tip = flat[bone] @ hand.tip_offsets[DISTAL_BONES.index(bone)]
         lines += [f"{inner}End Site", f"{inner}{{", f"{inner}  {_offset(tip)}", f"{inner}}}"]
@@ -85,17 +75,15 @@ def _offset(offset: Float) -> str:
     return "OFFSET " + " ".join(f"{number / UNIT:.6f}" for number in offset)
 
 
-def _motion(hand: ShapedHand, poses: Float) -> Float:
+def _motion(hand: ShapedHand, flat: Float, poses: Float) -> Float:
     """Channels of every frame: position, then Euler angles bone by bone, shape (n, 51)."""
     rotations, _ = bone_frames(hand, poses)
-    world = rotations_y_up(rotations @ np.swapaxes(_flat(hand), -1, -2))
-    local = world.copy()
-    parents = np.array(BONE_PARENTS[1:])
-    local[:, 1:] = np.swapaxes(world[:, parents], -1, -2) @ world[:, 1:]
+    local = rotations_in_parents(rotations_y_up(rotations @ np.swapaxes(flat, -1, -2)))
     with warnings.catch_warnings():
         # Of the angles that gimbal lock leaves open any will do.
         warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)
         angles = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_euler("ZYX")
     angles = np.unwrap(angles.reshape(len(poses), NBONE, 3), axis=0)
-    turns = np.rad2deg(angles[:, depth_first()]).reshape(len(poses), -1)
+    # Bones are numbered as the hierarchy lists them: each chain from the palm outward.
+    turns = np.rad2deg(angles).reshape(len(poses), -1)
     return np.concatenate([points_y_up(poses[:, :3]) / UNIT, turns], axis=1)

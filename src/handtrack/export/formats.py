@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handtrack.errors import InputError
+from handtrack.evaluation.run_record import write_whole
 from handtrack.export.arrays import arrays
 from handtrack.export.bvh import bvh
 from handtrack.export.gltf import gltf
@@ -15,7 +16,6 @@ from handtrack.export.openxr import openxr
 from handtrack.export.table import table
 from handtrack.export.track import Track
 from handtrack.export.trc import trc
-from handtrack.files import whole_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +65,8 @@ def write_track(track: Track, path: str | Path, format: str) -> Path:
     path = Path(path)
     content = FORMATS[format].encode(track)
     try:
-        with whole_file(path) as file:
-            file.write(content)
+        return write_whole(path, content)
     except OSError as error:
         raise InputError(
             f"{path} cannot be written ({error.strerror}): name a file in a folder that exists"
         ) from error
-    return path

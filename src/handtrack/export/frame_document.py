@@ -69,12 +69,12 @@ def frame_document(
         "state": state.value,
         "problem": problem or None,
         "depth_error": _number(depth_error),
-        "translation": _numbers(pose[:3]) if known else None,
-        "orientation": _numbers(pose[3:7]) if known else None,
-        "angles": dict(zip(ANGLES, _numbers(pose[7:]), strict=True)) if known else None,
-        "keypoints": [_numbers(point) for point in keypoints] if known else None,
-        "keypoint_std": _numbers(keypoint_std) if np.isfinite(keypoint_std).all() else None,
-        "bone_orientations": [_numbers(quat) for quat in bone_quats] if known else None,
+        "translation": rounded(pose[:3]) if known else None,
+        "orientation": rounded(pose[3:7]) if known else None,
+        "angles": dict(zip(ANGLES, rounded(pose[7:]), strict=True)) if known else None,
+        "keypoints": [rounded(point) for point in keypoints] if known else None,
+        "keypoint_std": rounded(keypoint_std) if np.isfinite(keypoint_std).all() else None,
+        "bone_orientations": [rounded(quat) for quat in bone_quats] if known else None,
     }
 
 
@@ -119,9 +119,10 @@ def to_json(document: dict[str, Any]) -> str:
     return json.dumps(document, allow_nan=False, separators=(",", ":"))
 
 
+def rounded(values: Iterable[float]) -> list[float]:
+    """Metres, radians or entries of quaternions, to so many decimals as documents hold."""
+    return [round(float(value), _DIGITS) for value in values]
+
+
 def _number(value: float) -> float | None:
     return round(float(value), _DIGITS) if math.isfinite(value) else None
-
-
-def _numbers(values: Iterable[float]) -> list[float]:
-    return [round(float(value), _DIGITS) for value in values]

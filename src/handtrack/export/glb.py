@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from handtrack.export.frame_document import to_json
 
 _COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
 _TYPES: dict[tuple[int, ...], str] = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
@@ -57,7 +58,7 @@ class Buffer:
             "bufferViews": self.views,
             "accessors": self.accessors,
         }
-        text = json.dumps(document, allow_nan=False, separators=(",", ":")).encode("utf-8")
+        text = to_json(document).encode("utf-8")
         text += b" " * (-len(text) % 4)
         chunks = struct.pack("<I4s", len(text), b"JSON") + text
         chunks += struct.pack("<I4s", len(self._bytes), b"BIN\0") + bytes(self._bytes)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack import __version__
-from handtrack.export.axes import continuous_quats, xyzw
+from handtrack.export.axes import continuous_quats, rotations_in_parents, xyzw
 from handtrack.export.glb import TRIANGLES, VERTICES, Buffer
 from handtrack.export.skin_binding import bind
 from handtrack.export.track import Track
@@ -85,10 +85,7 @@ def gltf(track: Track) -> bytes:
 def _local_quats(hand: ShapedHand, poses: Float) -> Float:
     """Rotation of each bone in its parent, the palm's in the camera; w x y z, shape (n, 16, 4)."""
     rotations, _ = bone_frames(hand, poses)
-    local = rotations.copy()
-    parents = np.array(BONE_PARENTS[1:])
-    local[:, 1:] = np.swapaxes(rotations[:, parents], -1, -2) @ rotations[:, 1:]
-    return matrix_to_quat(local)
+    return matrix_to_quat(rotations_in_parents(rotations))
 
 
 def _nodes(hand: ShapedHand, pose: Float, quats: Float) -> list[dict[str, Any]]:

@@ -8,19 +8,19 @@ the fingers, which move with the palm here, are laid into it by their measured p
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handtrack.evaluation.surfaces import distances_to_surface
 from handtrack.export.axes import points_y_up, rotations_y_up, xyzw
+from handtrack.export.frame_document import rounded, to_json
 from handtrack.export.track import Track
 from handtrack.hand.kinematics import bone_frames, skin
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import BASE_BONES, DISTAL_BONES, FINGERS
+from handtrack.hand.surface_distance import surface_distance
 from handtrack.transforms import matrix_to_quat
 
 Float = NDArray[np.float64]
@@ -42,9 +42,6 @@ R_BONE_JOINT = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 TRACKED = 0b1111
 """XrSpaceLocationFlags: position and orientation valid and tracked."""
-
-_DIGITS = 7
-"""Decimals of metres and quaternions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,10 +83,8 @@ class JointSet:
         )
         rest = np.concatenate([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], hand.rest_angles])
         points, _ = joints.located(hand, rest)
-        radii = distances_to_surface(points, skin(hand, rest), hand.faces)
-        return cls(
-            bones=joints.bones, offsets=joints.offsets, rotations=joints.rotations, radii=radii
-        )
+        radii = surface_distance(points, skin(hand, rest), hand.faces)
+        return replace(joints, radii=radii)
 
     def located(self, hand: ShapedHand, pose: Float) -> tuple[Float, Float]:
         """Positions [m], shape (..., 26, 3), and rotations R_camera_joint, shape (..., 26, 3, 3).
@@ -123,7 +118,7 @@ def openxr(track: Track) -> bytes:
             "isActive": bool(active),
             "jointLocations": _locations(*located) if active else [],
         }
-        lines.append(json.dumps(document, allow_nan=False, separators=(",", ":")))
+        lines.append(to_json(document))
     return ("\n".join(lines) + "\n").encode("ascii")
 
 
@@ -133,13 +128,11 @@ def _locations(positions: Float, quats: Float, radii: Float) -> list[dict[str, A
         {
             "locationFlags": TRACKED,
             "pose": {"orientation": _named("xyzw", quat), "position": _named("xyz", position)},
-            "radius": round(float(radius), _DIGITS),
+            "radius": radius,
         }
-        for position, quat, radius in zip(positions, quats, radii, strict=True)
+        for position, quat, radius in zip(positions, quats, rounded(radii), strict=True)
     ]
 
 
 def _named(names: str, values: Float) -> dict[str, float]:
-    return {
-        name: round(float(value), _DIGITS) for name, value in zip(names, values, strict=True)
-    }  # fmt: skip
+    return dict(zip(names, rounded(values), strict=True))

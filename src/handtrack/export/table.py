@@ -2,30 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
-import numpy as np
-
-from handtrack.evaluation.run_record import COLUMNS
+from handtrack.evaluation.run_record import csv_table
 from handtrack.export.track import Track
 
 
 def table(track: Track) -> bytes:
     """Every frame; what is not known is an empty cell."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    numbers = np.concatenate(
-        [
-            track.depth_errors[:, None], track.poses,
-            track.keypoints.reshape(len(track), -1), track.keypoint_std,
-        ],
-        axis=1,
+    return csv_table(
+        track.frames, track.times, track.states, track.depth_errors, track.poses,
+        track.keypoints, track.keypoint_std,
     )  # fmt: skip
-    for frame, time, state, row in zip(
-        track.frames, track.times, track.states, numbers, strict=True
-    ):
-        cells = [f"{number:.7g}" if np.isfinite(number) else "" for number in row]
-        writer.writerow([frame, f"{time:.6f}", state.value, *cells])
-    return text.getvalue().encode("utf-8")

@@ -19,9 +19,6 @@ from handtrack.tracking.result import TrackState
 
 Float = NDArray[np.float64]
 
-FOLLOWED = (TrackState.TRACKING, TrackState.RECOVERED)
-"""States in which the pose explains the frame's depth."""
-
 DEFAULT_INTERVAL = 1.0 / 30.0
 """Time between frames where the time stamps do not tell it [s]."""
 
@@ -64,7 +61,7 @@ class Track:
     @property
     def followed(self) -> NDArray[np.bool_]:
         """Frames whose pose explains their depth, shape (n,)."""
-        return np.array([state in FOLLOWED for state in self.states])
+        return np.array([state.sure for state in self.states])
 
     @property
     def interval(self) -> float:

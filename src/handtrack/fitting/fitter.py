@@ -205,14 +205,20 @@ class Fitter:
                 graph()
         wp.synchronize_device(self.device)
 
-    def launch_linearisation(self, rows: RowArrays) -> None:
+    def launch_linearisation(self, rows: RowArrays, robust_scale: float | None = None) -> None:
         """Residuals and normal equations of a part at its poses, without a step.
 
-        For fits of more than the pose; `run` must have seen the images.
+        Public for fits of more than the pose; `run` must have seen the images.
+
+        Args:
+            rows: The part.
+            robust_scale: Scale of the robust weights [m]; that of the last step without.
         """
         self._launch_pose(rows)
         self._launch_match(rows)
-        self._launch_residuals(rows, self.config.robust_scale)
+        self._launch_residuals(
+            rows, self.config.robust_scale if robust_scale is None else robust_scale
+        )
         self._launch_system(rows)
 
     @property
@@ -269,10 +275,7 @@ class Fitter:
             rows.best_gradient.zero_()
             rows.best_totals.fill_(float("inf"))
         for robust_scale in config.robust_scales():
-            self._launch_pose(rows)
-            self._launch_match(rows)
-            self._launch_residuals(rows, robust_scale)
-            self._launch_system(rows)
+            self.launch_linearisation(rows, robust_scale)
             self._launch_step(rows)
         if config.levenberg:
             # Judge the last step too, and hand back the best pose.

@@ -73,6 +73,17 @@ class ShapeCertainty:
         )
 
 
+def image_precisions(information: Float, fits: Sequence[FitInformation]) -> Float:
+    """What each image tells of the shape: inverse covariances, shape (n, nshape, nshape).
+
+    Args:
+        information: The same in the fit's weights, shape (n, nshape, nshape).
+        fits: What the fit of each image's pose knew.
+    """
+    weights = np.array([fit.point_precision for fit in fits]) / SQUARE_METRE
+    return weights[:, None, None] * information
+
+
 def shape_certainty(
     unknowns: ShapeUnknowns,
     x: Float,
@@ -94,8 +105,7 @@ def shape_certainty(
     """
     deviations = np.ones(unknowns.count)
     deviations[0] = scale_deviation
-    weights = np.array([fit.point_precision for fit in fits]) / SQUARE_METRE
-    precision = np.einsum("r,rij->ij", weights, information) + np.diag(deviations**-2.0)
+    precision = image_precisions(information, fits).sum(axis=0) + np.diag(deviations**-2.0)
     covariance = np.linalg.inv(0.5 * (precision + precision.T))
     steps = unknowns.length_steps(x)
     bends = np.full(len(FINGERS), np.inf)

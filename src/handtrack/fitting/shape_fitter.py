@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
 from handtrack.fitting.fitter import SQUARE_METRE, Fitter
-from handtrack.fitting.shape_certainty import ShapeCertainty, shape_certainty
+from handtrack.fitting.shape_certainty import ShapeCertainty, image_precisions, shape_certainty
 from handtrack.fitting.shape_config import ShapeFitConfig
 from handtrack.fitting.shape_system import ShapeEquations, ShapeSystem
 from handtrack.fitting.shape_unknowns import ShapeUnknowns
@@ -52,6 +52,11 @@ class ShapeFit:
     scale_deviation: float
     """Deviation of log(scale) that the prior assumed."""
 
+    @property
+    def precisions(self) -> Float:
+        """What each image tells of the shape, inverse covariances, shape (n, nshape, nshape)."""
+        return image_precisions(self.information, self.pose_information)
+
     def certainty(
         self, unknowns: ShapeUnknowns, images: Sequence[int] | None = None
     ) -> ShapeCertainty:
@@ -61,9 +66,9 @@ class ShapeFit:
             unknowns: The unknowns.
             images: The images that count; all without.
         """
-        used = range(len(self.poses)) if images is None else images
+        used = list(range(len(self.poses)) if images is None else images)
         return shape_certainty(
-            unknowns, self.unknowns, self.information[list(used)], self.poses[list(used)],
+            unknowns, self.unknowns, self.information[used], self.poses[used],
             [self.pose_information[k] for k in used], scale_deviation=self.scale_deviation,
         )  # fmt: skip
 

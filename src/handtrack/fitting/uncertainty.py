@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handtrack.hand.inverse_kinematics import BonePoints, point_jacobian
-from handtrack.hand.kinematics import keypoints
+from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.hand.model import ShapedHand
 
 Float = NDArray[np.float64]
@@ -49,11 +49,8 @@ FLOOR = 0.0008
 PALM_RANGE = (0.1, 1.0)
 """Uncertainty of the palm's place [m] and rotation [rad] per axis when nothing was seen."""
 
-_REST = np.eye(1, 28, 3)[0]
+_REST = np.array([0.0, 0.0, 0.0, 1.0] + [0.0] * 24)
 """All angles 0."""
-
-_PALM = [0, 5, 9, 13, 17]
-"""Wrist and the four knuckles."""
 
 _UNIFORM = 12**-0.5
 """Standard deviation of a uniform distribution, in units of its width."""
@@ -117,6 +114,6 @@ def keypoint_deviation(hand: ShapedHand, pose: ArrayLike, information: FitInform
     variances = np.einsum("kai,ij,kaj->k", jacobian[0], covariance, jacobian[0])
     if not information.shape_known:
         rest = keypoints(hand, _REST)
-        variances += (PROPORTIONS * np.linalg.norm(rest - rest[_PALM].mean(axis=0), axis=1)) ** 2
+        variances += (PROPORTIONS * np.linalg.norm(rest - palm_centre(rest), axis=1)) ** 2
     # Rounding must not make a variance negative.
     return np.sqrt(np.maximum(variances, 0.0) + scale**2 + FLOOR**2)

@@ -24,9 +24,9 @@ from handtrack.device import resolve_device
 from handtrack.errors import DamagedFileError, InputError
 from handtrack.files import UNREADABLE, whole_file
 from handtrack.forest.config import ForestConfig
+from handtrack.hand.kinematics import palm_centre
 from handtrack.kernels.crop import GATE_SIZE, crop_depth, crop_parameters
 from handtrack.synthesis.dataset import DatasetConfig, SyntheticDataset
-from handtrack.synthesis.viewpoints import palm_centre
 
 SHARD_FRAMES = 1000
 """Frames per file."""

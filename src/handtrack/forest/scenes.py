@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from handtrack.camera.segmentation import find_hand_regions, wrists_of
+from handtrack.camera.segmentation import centres_of, find_hand_regions, wrists_of
 from handtrack.device import resolve_device
 from handtrack.forest.config import ForestConfig
 from handtrack.forest.crops import (
@@ -108,7 +108,7 @@ def _write_shard(dataset: DatasetConfig, forest: ForestConfig, folder: Path, sta
     for number in range(start, min(start + SHARD_FRAMES, len(dataset))):
         depth, middle = maker.scene(number)
         regions = find_hand_regions(depth, dataset.camera, max_regions=MAX_REGIONS)
-        centres = np.array([region.centre for region in regions]).reshape(-1, 3)
+        centres = centres_of(regions)
         away = np.linalg.norm(centres - middle, axis=1) if middle is not None else np.full(
             len(centres), np.inf
         )  # fmt: skip
@@ -210,6 +210,7 @@ class SceneMaker:
         rotation = random_rotation(rng)
         shape = rng.integers(4)
         if shape == 0:
+            # A single cup draws no number.
             cup = self._cups[int(rng.integers(len(self._cups))) if len(self._cups) > 1 else 0]
             self._scene.add_image(cup.render(rotation, place))
         elif shape == 1:

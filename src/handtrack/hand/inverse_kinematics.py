@@ -17,6 +17,7 @@ from handtrack.hand.skeleton import (
     NBONE,
     NKEYPOINT,
     NV,
+    PALM_CORNERS,
     TIP_KEYPOINTS,
     finger_of_bone,
 )
@@ -123,7 +124,7 @@ def initial_pose(hand: ShapedHand, targets: ArrayLike) -> Float:
     targets = np.asarray(targets, np.float64)
     rest = np.zeros(28)
     rest[3], rest[7:] = 1.0, hand.rest_angles
-    palm = [0, 5, 9, 13, 17]
+    palm = list(PALM_CORNERS)
     source = keypoints(hand, rest)[palm]
     goal = targets[:, palm]
     a = source - source.mean(0)

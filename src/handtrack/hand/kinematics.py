@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handtrack.hand.model import ShapedHand, skeleton_frames
-from handtrack.hand.skeleton import DISTAL_BONES, KEYPOINT_BONES, TIP_KEYPOINTS
+from handtrack.hand.skeleton import DISTAL_BONES, KEYPOINT_BONES, PALM_CORNERS, TIP_KEYPOINTS
 from handtrack.transforms import quat_to_matrix
 
 Float = NDArray[np.float64]
@@ -40,9 +40,18 @@ def keypoints(hand: ShapedHand, pose: ArrayLike) -> Float:
     return points
 
 
+def palm_centre(keypoints: ArrayLike) -> Float:
+    """Middle of the palm [m], shape (..., 3): mean of the wrist and the fingers' base joints."""
+    return np.asarray(keypoints, np.float64)[..., list(PALM_CORNERS), :].mean(axis=-2)
+
+
 def skin(hand: ShapedHand, pose: ArrayLike) -> Float:
     """Vertices [m], shape (..., nvert, 3), camera frame, of poses, shape (..., 28) (Eq. II.9)."""
-    rotations, origins = bone_frames(hand, pose)
+    return skin_of_frames(hand, *bone_frames(hand, pose))
+
+
+def skin_of_frames(hand: ShapedHand, rotations: Float, origins: Float) -> Float:
+    """Vertices [m], shape (..., nvert, 3), of what `bone_frames` gives."""
     bones = hand.weight_bones
     points = (
         np.einsum("...vkij,vkj->...vki", rotations[..., bones, :, :], hand.local_vertices)

@@ -202,7 +202,7 @@ class HandModel:
         offsets = self.offset_mean + self.offset_basis @ _padded(shape.beta, self.nbeta, "beta")
 
         # II.1 and II.5: local template vertices in every bone that moves them.
-        rotations, origins = self._rest_skeleton()
+        rotations, origins = self.rest_skeleton()
         bones = self.weight_bones
         moved = self.vertices[:, None] - origins[bones] + offsets[: len(self.vertices), None]
         local = np.einsum("vkji,vkj->vki", rotations[bones], moved)
@@ -235,8 +235,12 @@ class HandModel:
         )
         return hand if side == "right" else _mirrored(hand)
 
-    def _rest_skeleton(self) -> tuple[Float, Float]:
-        """Rotation and origin of the template's bones in the palm frame at the rest angles."""
+    def rest_skeleton(self) -> tuple[Float, Float]:
+        """Frames of the template's bones in the palm frame at the rest angles.
+
+        Returns:
+            Rotations, shape (16, 3, 3), and origins [m], shape (16, 3).
+        """
         return skeleton_frames(
             self.bone_rotations, self.bone_origins, self.dof_axes, self.rest_angles
         )

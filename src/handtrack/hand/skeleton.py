@@ -75,6 +75,9 @@ DISTAL_BONES: tuple[int, ...] = (3, 6, 9, 12, 15)
 KEYPOINT_BONES = np.array([0, 1, 2, 3, 3, 4, 5, 6, 6, 7, 8, 9, 9, 10, 11, 12, 12, 13, 14, 15, 15])
 """Bone on which each keypoint sits: at its origin, except the tips (distal bone + tip offset)."""
 
+PALM_CORNERS: tuple[int, ...] = (0, 5, 9, 13, 17)
+"""Indices of the wrist and the four knuckles among the keypoints; the palm moves them as one."""
+
 TIP_KEYPOINTS: tuple[int, ...] = (4, 8, 12, 16, 20)
 """Indices of the five fingertips among the keypoints."""
 

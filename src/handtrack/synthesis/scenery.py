@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
-from handtrack.synthesis.viewpoints import palm_centre, random_rotation
+from handtrack.hand.kinematics import palm_centre
+from handtrack.synthesis.viewpoints import random_rotation
 from handtrack.transforms import rotvec_to_matrix
 
 Float = NDArray[np.float64]

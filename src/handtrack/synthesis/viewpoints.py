@@ -9,10 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
-from handtrack.hand.skeleton import BASE_BONES
+from handtrack.hand.kinematics import palm_centre
 from handtrack.transforms import quat_to_matrix, rotvec_to_matrix
 
 Float = NDArray[np.float64]
+
+R_CAMERA_UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""R_camera_palm of a right hand with fingers up and palm to the camera."""
 
 FLESH = 0.012
 """Distance kept between keypoints, which lie inside the hand, and the border of the image [m]."""
@@ -48,12 +51,6 @@ def random_elbow(rng: np.random.Generator) -> Float:
     turn = rotvec_to_matrix(np.array([0.0, 0.0, bends[0]]))
     turn = turn @ rotvec_to_matrix(np.array([0.0, bends[1], 0.0]))
     return -rng.uniform(*FOREARM) * turn[:, 0]
-
-
-def palm_centre(keypoints: ArrayLike) -> Float:
-    """Middle of the palm [m], shape (..., 3): mean of the wrist and the fingers' base joints."""
-    roots = [0, *(bone + finger for finger, bone in enumerate(BASE_BONES) if finger)]
-    return np.asarray(keypoints, np.float64)[..., roots, :].mean(axis=-2)
 
 
 def place_in_view(

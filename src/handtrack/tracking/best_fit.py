@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from handtrack.fitting.fitter import Fitter
 from handtrack.fitting.uncertainty import FitInformation
@@ -14,7 +14,12 @@ Float = NDArray[np.float64]
 
 
 def fit_best(
-    fitter: Fitter, hand: ShapedHand, depth: NDArray[np.float32], starts: Float
+    fitter: Fitter,
+    hand: ShapedHand,
+    depth: NDArray[np.float32],
+    starts: Float,
+    *,
+    centre: ArrayLike | None = None,
 ) -> tuple[Float, float, FitInformation]:
     """Fit start poses and take the one that explains the depth best.
 
@@ -23,14 +28,15 @@ def fit_best(
         hand: Its hand.
         depth: Clean depth [m], shape (height, width).
         starts: Start poses, shape (nrow, 28).
+        centre: Middle of what is fitted to [m], shape (3,); that of the starts when None.
 
     Returns:
         Pose, shape (28,), its depth error [m], and what its fit knew.
     """
     # The middle between the starts keeps each of them within the crop.
-    centre = keypoints(hand, starts).mean(axis=(0, 1))
+    middle = keypoints(hand, starts).mean(axis=(0, 1)) if centre is None else centre
     fitter.load_depth(depth)
-    fitter.place(centre)
+    fitter.place(middle)
     fitter.set_poses(starts)
     fitter.run()
     errors = fitter.errors

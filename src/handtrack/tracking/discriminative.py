@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from handtrack.forest.artifact import Forest
 from handtrack.forest.cascade import Cascade
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
+from handtrack.tracking.stage_clock import StageClock
 from handtrack.tracking.stepper import Estimate
 
 
@@ -107,7 +107,7 @@ class TrackerDiscriminative:
     ) -> Estimate:
         """Find the hand in the next frame; see `Stepper`."""
         del fallback
-        begin = time.perf_counter()
+        clock = StageClock()
         if self._pose is not None:
             centre = keypoints(self._hand, self._pose).mean(axis=0)
         else:
@@ -121,8 +121,8 @@ class TrackerDiscriminative:
         pose, error = self._regress(depth, centre)
         found = error < self.config.lost_error
         self._pose = pose if found else None
-        spent = 1e3 * (time.perf_counter() - begin)
-        return Estimate(pose=pose, depth_error=error, found=found, timings={"regress": spent})
+        clock.lap("regress")
+        return Estimate(pose=pose, depth_error=error, found=found, timings=clock.spans)
 
     def find_all(self, depths: NDArray[np.float32]) -> list[Estimate]:
         """The hand in independent frames; see `Finder`."""

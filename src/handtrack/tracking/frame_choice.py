@@ -7,19 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from handtrack.fitting.fitter import SQUARE_METRE
-from handtrack.fitting.shape_fitter import ShapeFit, ShapeFitter
+from handtrack.fitting.shape_fitter import ShapeFitter
 
 Float = NDArray[np.float64]
 
 MOST_CANDIDATES = 60
 """Frames of a recording that are looked at, evenly spread."""
-
-
-def image_precisions(fit: ShapeFit) -> Float:
-    """What each image tells of the shape, shape (n, nshape, nshape)."""
-    weights = np.array([one.point_precision for one in fit.pose_information]) / SQUARE_METRE
-    return weights[:, None, None] * fit.information
 
 
 def choose_frames(
@@ -42,7 +35,7 @@ def choose_frames(
     told = []
     for first in range(0, len(candidates), count):
         part = np.resize(candidates[first : first + count], count)
-        told.append(image_precisions(fitter.run(depths[part], poses[part], rounds=0)))
+        told.append(fitter.run(depths[part], poses[part], rounds=0).precisions)
     precisions = np.concatenate(told)[: len(candidates)]
     return np.sort(candidates[most_telling(precisions, fitter.prior_precision, count)])
 

@@ -7,14 +7,16 @@ for in several regions of the whole scene.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
+from handtrack.camera.segmentation import HandRegion, centres_of
 from handtrack.errors import InputError
 from handtrack.fitting.config import THESIS, FitConfig
 from handtrack.fitting.fitter import Fitter
@@ -245,13 +247,14 @@ class TrackerHybrid:
     def step(self, depth: NDArray[np.float32], *, fallback: Float | None = None) -> Estimate:
         """Find the hand in the next frame; see `Stepper`."""
         config, clock = self.config, StageClock()
+        regions = cache(lambda: self._scene.regions(depth[None]))
         if self._patience.refused and not self._sure:
-            waits = self._patience.waits(self._places(depth))
+            waits = self._patience.waits(centres_of(regions()[0]))
             clock.lap("scene")
             if waits:
                 return self._estimate(None, False, clock.spans)
         if config.always:
-            found, doubted = self._search_as_thesis(depth), True
+            found, doubted = self._search_as_thesis(depth, regions), True
             clock.lap("search")
         else:
             found = self._follow(depth, fallback)
@@ -269,7 +272,7 @@ class TrackerHybrid:
                 or found.error > config.seek_error
                 or (self._trust.doubtful and (not self._sure or self._doubt.young))
             ):
-                found = self._search_scene(depth, found)
+                found = self._search_scene(depth, found, regions())
                 clock.lap("scene")
         first_sight = not self._sure
         if found is not None:
@@ -294,17 +297,12 @@ class TrackerHybrid:
             self._trust.forget(known=False)
         elif not self._sure and self._trust.refuses:
             # Nothing to go on from: the next search starts from scratch.
-            self._patience.refuse(self._places(depth))
+            self._patience.refuse(centres_of(regions()[0]))
             self._trust.forget(known=False)
             self._pose = None
         else:
             self._patience.forget()
         return estimate
-
-    def _places(self, depth: NDArray[np.float32]) -> Float:
-        """Middles of the places where a hand may be [m], shape (n, 3)."""
-        (regions,) = self._scene.regions(depth[None])
-        return np.array([region.centre for region in regions]).reshape(-1, 3)
 
     @property
     def _believed(self) -> bool:
@@ -387,30 +385,29 @@ class TrackerHybrid:
         # What the forest says of a place means something for places that segmentation proposed.
         return self._better(depth, tracked, replace(found, presence=None))
 
-    def _search_scene(self, depth: NDArray[np.float32], tracked: Found | None) -> Found | None:
+    def _search_scene(
+        self, depth: NDArray[np.float32], tracked: Found | None, regions: list[list[HandRegion]]
+    ) -> Found | None:
         """The best candidate of the whole scene, or the tracked pose when that is better."""
-        fresh = tracked is None and not self._patience.refused
-        ((found, odds),) = self._find(self._scene, depth[None], thoroughly=fresh)
-        if found is None or tracked is None:
-            return found or tracked
-        if self._judge is None or self._sure:
+        if self._sure or self._judge is None:
+            (found,) = self._scene.run(depth[None], regions, self._costs, self._rng)
+            if found is None or tracked is None:
+                return found or tracked
             chosen = self._better(depth, tracked, found)
         else:
+            fresh = tracked is None and not self._patience.refused
+            ((found, odds),) = search_until(
+                self._scene, depth[None], regions, self._hand, self._costs, self._rng,
+                odds=self._odds_resized, convinced=self._trust.convinced,
+                attempts=self.config.attempts if fresh else 1,
+            )  # fmt: skip
+            if found is None or tracked is None:
+                return found or tracked
             chosen = found if odds >= self._trust.odds else tracked
         if chosen is found:
             # What was believed of the other place says nothing of this one.
             self._trust.forget(known=False)
         return chosen
-
-    def _find(
-        self, scene: SceneSearch, depths: NDArray[np.float32], *, thoroughly: bool
-    ) -> list[tuple[Found | None, float]]:
-        """The likeliest pose in every frame, with its log-odds; see `search_until`."""
-        return search_until(
-            scene, depths, self._hand, self._costs, self._rng,
-            odds=self._odds if scene is self._batch else self._odds_resized,
-            convinced=self._trust.convinced, attempts=self.config.attempts if thoroughly else 1,
-        )  # fmt: skip
 
     def _better(self, depth: NDArray[np.float32], tracked: Found, found: Found) -> Found:
         """The tracked pose, unless the other one costs clearly less (Eq. II.20).
@@ -438,9 +435,12 @@ class TrackerHybrid:
         self.forget()
         if self._batch is None:
             self._batch = self._scene_search(BATCH)
+        results = search_until(
+            self._batch, depths, self._batch.regions(depths), self._hand, self._costs, self._rng,
+            odds=self._odds, convinced=self._trust.convinced, attempts=self.config.attempts,
+        )  # fmt: skip
         return [
-            self._estimate(found, self._trust.believes_alone(odds), {})
-            for found, odds in self._find(self._batch, depths, thoroughly=True)
+            self._estimate(found, self._trust.believes_alone(odds), {}) for found, odds in results
         ]
 
     def first_looks(self, depth: NDArray[np.float32]) -> Iterator[tuple[Found, ShapedHand]]:
@@ -452,7 +452,7 @@ class TrackerHybrid:
             depth: Clean depth [m], shape (height, width).
         """
         self.forget()
-        found = self._search_scene(depth, None)
+        found = self._search_scene(depth, None, self._scene.regions(depth[None]))
         if found is not None:
             yield found, self._hand
             found, resized = self._sized(depth, found, settle=True, watch=False)
@@ -470,11 +470,13 @@ class TrackerHybrid:
             + misplacement(candidates, self._hand, self._camera)
         )
 
-    def _search_as_thesis(self, depth: NDArray[np.float32]) -> Found | None:
+    def _search_as_thesis(
+        self, depth: NDArray[np.float32], regions: Callable[[], list[list[HandRegion]]]
+    ) -> Found | None:
         """Steps 1 to 5: every frame is searched, the last pose is one candidate of the pool."""
         last = self._pose if self._sure else None
         if last is None:
-            return self._search_scene(depth, None)
+            return self._search_scene(depth, None, regions())
         centre = keypoints(self._hand, last).mean(axis=0)
         candidates = self._near.run(depth, centre[None], extra=last[None], reference=last)
         best = int(np.argmin(self._costs(candidates)))

@@ -56,14 +56,15 @@ class HandLikeness:
             camera: Camera of the depth images.
             device: "cpu", "cuda:N" or None for the best there is.
         """
-        self._camera, self._device = camera, device
+        self._camera = camera
+        window = Camera(width=CELLS, height=CELLS, fx=1.0, fy=1.0, cx=0.0, cy=0.0)
+        self._renderer = DepthRenderer(hand, window, device=device, batch=1)
         self.resize(hand)
 
     def resize(self, hand: ShapedHand) -> None:
-        """Go on with another hand."""
-        self._hand = hand
-        window = Camera(width=CELLS, height=CELLS, fx=1.0, fy=1.0, cx=0.0, cy=0.0)
-        self._renderer = DepthRenderer(hand, window, device=self._device, batch=1)
+        """Go on with another hand of the same side."""
+        # Hands of one side share their triangles; only what is posed differs.
+        self._hand = self._renderer.hand = hand
 
     def measure(self, depth: NDArray[np.float32], pose: Float) -> Float:
         """Measure the likeness.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +17,7 @@ from handtrack.priors.gaussian import GaussianPrior
 from handtrack.tracking.best_fit import fit_best
 from handtrack.tracking.doubt import Doubt
 from handtrack.tracking.rescue import restart_poses
+from handtrack.tracking.stage_clock import StageClock
 from handtrack.tracking.stepper import Estimate
 from handtrack.transforms import apply_increment, pose_difference
 
@@ -170,15 +170,15 @@ class TrackerModelBased:
         Returns:
             The best hypothesis.
         """
-        clock = [time.perf_counter()]
+        clock = StageClock()
         pose = self._pose
         assert pose is not None, "start first"
         if fallback is None:
             fallback = apply_increment(pose, self.config.velocity * self._motion)
         starts = np.stack([pose, fallback][: self._nhyp])
-        clock.append(time.perf_counter())
+        clock.lap("predict")
         found, error, information = fit_best(self._fitter, self._hand, depth, starts)
-        clock.append(time.perf_counter())
+        clock.lap("fit")
         if self._rescuer is not None and self._doubt.arises(error):
             restarts = restart_poses(self._hand, found, self.config.rescue_rows, self._rng)
             other, other_error, other_information = fit_best(
@@ -189,12 +189,11 @@ class TrackerModelBased:
         self._doubt.remember(error)
         self._motion = pose_difference(found, pose)
         self._pose = found
-        clock.append(time.perf_counter())
-        spans = 1e3 * np.diff(clock)
+        clock.lap("rescue")
         return Estimate(
             pose=found,
             depth_error=error,
             found=error < self.config.lost_error,
             information=information,
-            timings=dict(zip(("predict", "fit", "rescue"), map(float, spans), strict=True)),
+            timings=clock.spans,
         )

@@ -8,7 +8,6 @@ compared with the depth image, and drawn towards the best it has seen. No gradie
 from __future__ import annotations
 
 import numbers
-import time
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -21,6 +20,7 @@ from handtrack.fitting.fitter import Fitter
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import ANGLES, BASE_BONES, FINGERS, NV
+from handtrack.tracking.stage_clock import StageClock
 from handtrack.tracking.stepper import Estimate
 from handtrack.transforms import apply_increment, pose_difference
 
@@ -196,7 +196,7 @@ class TrackerPso:
         Returns:
             The best pose that the swarm has seen.
         """
-        clock = [time.perf_counter()]
+        clock = StageClock()
         pose = self._pose
         assert pose is not None, "start first"
         origins = np.stack([pose] if fallback is None else [pose, fallback])
@@ -204,16 +204,15 @@ class TrackerPso:
         centre = keypoints(self._hand, origins).mean(axis=(0, 1))
         self._scorer.load_depth(depth)
         self._scorer.place(centre)
-        clock.append(time.perf_counter())
+        clock.lap("predict")
         found, error = self._search(pose, self._first_swarm(origins))
         self._pose = found
-        clock.append(time.perf_counter())
-        spans = 1e3 * np.diff(clock)
+        clock.lap("fit")
         return Estimate(
             pose=found,
             depth_error=error,
             found=error < self.config.lost_error,
-            timings=dict(zip(("predict", "fit"), map(float, spans), strict=True)),
+            timings=clock.spans,
         )
 
     def _first_swarm(self, origins: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -28,6 +28,11 @@ class TrackState(enum.Enum):
     NO_HAND = "no_hand"
     """There was no hand to be seen yet, or none was ever started; keypoints are NaN."""
 
+    @property
+    def sure(self) -> bool:
+        """Whether the tracker vouches for the pose: it explains this frame's depth."""
+        return self in (TrackState.TRACKING, TrackState.RECOVERED)
+
 
 @dataclass(frozen=True, kw_only=True)
 class HandResult:

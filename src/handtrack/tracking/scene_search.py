@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
-from handtrack.camera.segmentation import HandRegion, find_hand_regions, wrists_of
+from handtrack.camera.segmentation import HandRegion, centres_of, find_hand_regions, wrists_of
 from handtrack.errors import InputError
 from handtrack.fitting.config import FitConfig
 from handtrack.fitting.uncertainty import FitInformation
@@ -153,7 +153,7 @@ class SceneSearch:
         places = [self._filled(one) for one in regions]
         found = self._candidates.run(
             np.repeat(depths, self._config.regions, axis=0),
-            np.concatenate([[region.centre for region in one] for one in places]),
+            np.concatenate([centres_of(one) for one in places]),
             wrists=np.concatenate([wrists_of(one) for one in places]),
             scores=np.array([region.score for one in places for region in one]),
         )
@@ -221,6 +221,7 @@ _NOWHERE = HandRegion(centre=np.array([0.0, 0.0, 0.5]), radius=0.1, box=(0, 0, 0
 def search_until(
     scene: SceneSearch,
     depths: NDArray[np.float32],
+    regions: list[list[HandRegion]],
     hand: ShapedHand,
     cost: Cost,
     rng: np.random.Generator,
@@ -234,6 +235,7 @@ def search_until(
     Args:
         scene: Searches some frames at a time.
         depths: Clean depth [m], shape (n, height, width).
+        regions: Where, in each of them; see `SceneSearch.regions`.
         hand: The person's hand.
         cost: What candidates are compared by.
         rng: Source of the random numbers.
@@ -246,7 +248,6 @@ def search_until(
         hand.
     """
     best: list[tuple[Found | None, float]] = [(None, -np.inf)] * len(depths)
-    regions = scene.regions(depths)
     pending = [k for k in range(len(depths)) if regions[k]]
     for attempt in range(attempts):
         for first in range(0, len(pending), scene.frames):

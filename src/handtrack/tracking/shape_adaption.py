@@ -20,10 +20,10 @@ from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
 from handtrack.fitting.shape_certainty import ShapeCertainty
 from handtrack.fitting.shape_config import ShapeFitConfig
-from handtrack.fitting.shape_fitter import ShapeFit, ShapeFitter
+from handtrack.fitting.shape_fitter import ShapeFitter
 from handtrack.hand.model import HandModel, ShapedHand
 from handtrack.hand.shape import HandShape
-from handtrack.tracking.frame_choice import image_precisions, worth
+from handtrack.tracking.frame_choice import worth
 from handtrack.tracking.result import HandResult, TrackState
 
 Float = NDArray[np.float64]
@@ -174,7 +174,7 @@ class ShapeAdaption:
     def _look(self, depth: NDArray[np.float32], pose: Float) -> None:
         """Keep a frame when it tells more than one of those that are kept."""
         told = self._looker.run(depth[None], pose[None], self._x, rounds=0)
-        kept = _Kept(depth.copy(), told.poses[0], image_precisions(told)[0])
+        kept = _Kept(depth.copy(), told.poses[0], told.precisions[0])
         if len(self._kept) < self.config.frames:
             self._kept.append(kept)
             return
@@ -199,18 +199,12 @@ class ShapeAdaption:
         self._steps += 1
         share = min(1.0, self.config.whole_steps / self._steps)
         self._x = self._x + share * (fit.unknowns - self._x)
-        self._take(fit, count)
+        for kept, pose, precision in zip(self._kept, fit.poses, fit.precisions, strict=False):
+            kept.pose, kept.precision = pose, precision
+        certainty = self._certainty = fit.certainty(self._unknowns, range(count))
         hand = self._unknowns.hand(self._x)
-        assert self._certainty is not None
         still = np.abs(hand.bone_lengths - before).max() < self.config.settled
-        sure = count == images and self._certainty.lengths.mean() < self.config.sure
+        sure = count == images and certainty.lengths.mean() < self.config.sure
         self._calm = self._calm + 1 if still and sure else 0
         self.frozen = self._calm >= self.config.settled_steps
         return hand
-
-    def _take(self, fit: ShapeFit, count: int) -> None:
-        """Poses and precisions of the kept frames, and the certainty, after a step."""
-        precisions = image_precisions(fit)
-        for k, kept in enumerate(self._kept):
-            kept.pose, kept.precision = fit.poses[k], precisions[k]
-        self._certainty = fit.certainty(self._unknowns, range(count))

@@ -27,7 +27,8 @@ from handtrack.hand.model import HandModel, ShapedHand
 from handtrack.hand.shape import HandShape
 from handtrack.hand.side import mirror_pose
 from handtrack.synthesis.poses import load_poses
-from handtrack.tracking.best_fit import unit_poses
+from handtrack.synthesis.viewpoints import R_CAMERA_UPRIGHT
+from handtrack.tracking.best_fit import fit_best
 from handtrack.tracking.frame_choice import choose_frames
 from handtrack.tracking.result import TrackState
 from handtrack.tracking.tracker import HandTracker
@@ -236,10 +237,7 @@ def _explained(errors: Float, bound: tuple[float, float]) -> NDArray[np.bool_]:
 def _track(tracker: HandTracker, images: NDArray[np.float32]) -> tuple[NDArray[np.intp], Float]:
     """Frames of a recording that show the hand, and its pose there."""
     results = [tracker.track(image) for image in images]
-    found = [
-        k for k, one in enumerate(results)
-        if one.state in (TrackState.TRACKING, TrackState.RECOVERED)
-    ]  # fmt: skip
+    found = [k for k, one in enumerate(results) if one.state.sure]
     if not found:
         raise NoHandError(f"no hand was found in {len(images)} frames")
     errors = np.array([results[k].depth_error for k in found])
@@ -291,19 +289,14 @@ def _named_pose(
         pose[:3] = centre - keypoints(hand, pose).mean(axis=0)
         starts.append(pose)
     fitter = Fitter([hand], camera, nhyp=len(starts), device=device, graph=False)
-    fitter.load_depth(image)
-    fitter.place(centre)
-    fitter.set_poses(np.stack(starts))
-    fitter.run()
-    return unit_poses(fitter)[int(np.argmin(fitter.errors))]
+    return fit_best(fitter, hand, image, np.stack(starts), centre=centre)[0]
 
 
 def _facing_rotations() -> list[Float]:
     """R_camera_palm of right hands with fingers up: palm and back to us, rolled a little."""
-    upright = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     rolls = [rotvec_to_matrix(np.array([0.0, 0.0, roll])) for roll in (-0.6, 0.0, 0.6)]
-    turned = upright * np.array([1.0, -1.0, -1.0])
-    return [roll @ facing for facing in (upright, turned) for roll in rolls]
+    turned = R_CAMERA_UPRIGHT * np.array([1.0, -1.0, -1.0])
+    return [roll @ facing for facing in (R_CAMERA_UPRIGHT, turned) for roll in rolls]
 
 
 def _pose_names(poses: Sequence[str | None] | None, count: int) -> list[str | None]:

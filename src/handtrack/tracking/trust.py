@@ -69,7 +69,7 @@ class Trust:
 
     def forget(self, *, known: bool) -> None:
         """Start anew; a pose that somebody vouches for is a hand until much speaks against it."""
-        self._looks, self._since = 0, self._config.period
+        self._since = self._config.period
         self.odds = self._config.firm if known else 0.0
         """Running log-odds that the track is a hand."""
         self._weight = self._config.memory if known else 0.0
@@ -89,7 +89,7 @@ class Trust:
     @property
     def refuses(self) -> bool:
         """Whether a track that was not believed yet is no hand."""
-        return self._looks > 0 and self.odds < odds_of(self._config.refuse_chance)
+        return self._weight > 0 and self.odds < odds_of(self._config.refuse_chance)
 
     def hear(self, odds: float) -> None:
         """Take a judgement in."""
@@ -98,7 +98,6 @@ class Trust:
         self._weight = min(self._weight + 1.0, self._config.memory)
         self.odds += (self._last - self.odds) / self._weight
         self._since = 0
-        self._looks += 1
 
     def believes(self, *, sure: bool) -> bool:
         """Whether the track counts as a hand: a new one, or one that was believed so far."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from handtrack.camera.frame import DepthFrame, check_depth
 from handtrack.errors import HandtrackError
-from handtrack.tracking.result import HandResult, TrackState
+from handtrack.tracking.result import HandResult
 from handtrack.tracking.tracker import HandTracker
 from handtrack.viewer.controls import Controls, Wishes
 from handtrack.viewer.hypotheses import HypothesisFinder
@@ -32,8 +32,6 @@ NEAR = 3
 
 _RATED = 30
 """Frames over which the rate is measured."""
-
-_SURE = (TrackState.TRACKING, TrackState.RECOVERED)
 
 
 class Sink(Protocol):
@@ -256,7 +254,7 @@ class TrackingLoop:
         # One that finds the hand by itself shows that it does; the others go on from what is known.
         tracker.reset()
         known = self._last
-        if not tracker.automatic and known is not None and known[1].state in _SURE:
+        if not tracker.automatic and known is not None and known[1].state.sure:
             tracker.reset(known[1].pose)
         else:
             self._jumped = True

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
-from handtrack.hand.kinematics import keypoints
+from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import FINGERS, NKEYPOINT, NQ
 from handtrack.synthesis.renderer import DepthRenderer
@@ -34,12 +34,17 @@ STATE_COLOURS: dict[TrackState, Colour] = {
 }
 """Colour of the word that names the state, B G R."""
 
-_SKIN: Colour = (178, 201, 226)
+INK: Colour = (240, 240, 240)
+"""Colour of text, B G R."""
+SKIN: Colour = (178, 201, 226)
+"""Colour of the mesh, B G R."""
+
 _LOST_SKIN: Colour = (140, 140, 150)
-_INK: Colour = (240, 240, 240)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SUBPIXEL_BITS = 4
-_PIXELS_PER_METRE = 1400.0
+_FOLLOW = 0.15
+
+PIXELS_PER_METRE = 1400.0
 """Scale of a view at which lines and dots have their usual size [1/m]."""
 
 
@@ -74,8 +79,7 @@ class PictureStyle:
         Raises:
             InputError: A setting is out of range.
         """
-        if min(self.panel) < 64 or max(self.panel) > 4096:
-            raise InputError(f"panel is {self.panel}: expected sides of 64 to 4096 pixels")
+        check_panel(self.panel)
         if self.zoom is not None and not 0.05 <= self.zoom <= 5.0:
             raise InputError(f"zoom is {self.zoom}: expected a width of 0.05 to 5 m, or None")
         for name in ("mesh_opacity", "hidden_opacity", "tint"):
@@ -109,7 +113,7 @@ class OverlayPainter:
         self._view = _fit_view(camera, self.style.panel)
         fine = _finer(self._view, self.style.supersample)
         self._renderer = DepthRenderer(hand, fine, device=device, batch=1)
-        self._tints = finger_tints(hand, _SKIN, FINGER_COLOURS, self.style.tint)
+        self._tints = finger_tints(hand, SKIN, FINGER_COLOURS, self.style.tint)
         self._lost_tints = finger_tints(hand, _LOST_SKIN, FINGER_COLOURS, 0.0)
         self._fade = wrist_fade(hand)
         self._range: tuple[float, float] | None = None
@@ -134,9 +138,9 @@ class OverlayPainter:
         state = result.state
         lines = [(state.value.replace("_", " "), STATE_COLOURS[state])]
         if np.isfinite(result.depth_error):
-            lines.append((f"depth error {1e3 * result.depth_error:.1f} mm", _INK))
+            lines.append((f"depth error {1e3 * result.depth_error:.1f} mm", INK))
         if result.problem is not None and state in (TrackState.LOST, TrackState.NO_HAND):
-            lines.append((_shorten(result.problem, 52), _INK))
+            lines.append((_shorten(result.problem, 52), INK))
         pose = None if state is TrackState.NO_HAND else result.pose
         title = "" if index is None else f"frame {index}"
         return self.paint(depth, pose, title=title, lines=lines, lost=state is TrackState.LOST)
@@ -173,13 +177,7 @@ class OverlayPainter:
         if image.shape != self.camera.shape:
             raise InputError(f"depth has shape {image.shape}: expected {self.camera.shape}")
         image = np.where(np.isfinite(image) & (image > 0), image, 0.0).astype(np.float32)
-        where = None
-        if pose is not None:
-            where = np.asarray(pose, np.float64)
-            if where.shape != (NQ,):
-                raise InputError(f"pose has shape {where.shape}: expected ({NQ},)")
-            if not np.isfinite(where).all():
-                where = None
+        where = drawable_pose(pose)
         points = None if where is None else keypoints(self.hand, where)
         self._follow(image, points)
         assert self._range is not None
@@ -187,7 +185,7 @@ class OverlayPainter:
         if where is not None and self.style.mesh_opacity > 0 and where[2] > 0:
             self._lay_mesh(ground, image, where, self._lost_tints if lost else self._tints)
         if points is not None and self.style.skeleton:
-            size = self._view.fx / max(float(points[:, 2].mean()), 0.05) / _PIXELS_PER_METRE
+            size = self._view.fx / max(float(points[:, 2].mean()), 0.05) / PIXELS_PER_METRE
             draw_skeleton(ground, self._view.project(points), size=size, faded=lost)
         if self.style.text:
             draw_lines(ground, lines)
@@ -195,7 +193,7 @@ class OverlayPainter:
             return ground
         plain = self._enlarge(colour_depth(image, *self._range))
         if self.style.text and title:
-            draw_lines(plain, [(title, _INK)])
+            draw_lines(plain, [(title, INK)])
         return np.hstack([plain, ground])
 
     def cut(self) -> None:
@@ -206,10 +204,8 @@ class OverlayPainter:
         """Aim view and colours at the hand, smoothly."""
         if points is not None:
             # The palm moves less than the fingers, so the view stays calmer.
-            middle = 0.5 * (points[[0, 5, 9, 13, 17]].mean(0) + points.mean(0))
-            follow = 0.15 if self._centre is not None else 1.0
-            past = middle if self._centre is None else self._centre
-            self._centre = past + follow * (middle - past)
+            middle = 0.5 * (palm_centre(points) + points.mean(0))
+            self._centre = followed(self._centre, middle)
         if self._centre is not None:
             self._range = depth_range(depth, float(self._centre[2]))
         elif self._range is None:
@@ -254,6 +250,40 @@ class OverlayPainter:
         colour = cv2.resize(mesh.picture[inner] * opacity, size, interpolation=cv2.INTER_AREA)
         cover = cv2.resize(opacity, size, interpolation=cv2.INTER_AREA)[..., None]
         ground[box] = np.rint(ground[box] * (1.0 - cover) + colour).astype(np.uint8)
+
+
+def check_panel(panel: tuple[int, int]) -> None:
+    """Check width and height of a panel [pixels].
+
+    Raises:
+        InputError: A side is too short or too long.
+    """
+    if min(panel) < 64 or max(panel) > 4096:
+        raise InputError(f"panel is {panel}: expected sides of 64 to 4096 pixels")
+
+
+def drawable_pose(pose: ArrayLike | None) -> NDArray[np.float64] | None:
+    """A pose as an array, shape (28,); None where there is none, or it is not finite.
+
+    Raises:
+        InputError: The pose has the wrong shape.
+    """
+    if pose is None:
+        return None
+    where = np.asarray(pose, np.float64)
+    if where.shape != (NQ,):
+        raise InputError(f"pose has shape {where.shape}: expected ({NQ},)")
+    return where if np.isfinite(where).all() else None
+
+
+def followed(past: NDArray[np.float64] | None, middle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The centre of a view that moves after the hand gently, as a video needs it [m].
+
+    Args:
+        past: Where the centre was in the picture before, shape (3,); None at the start of a take.
+        middle: Where the hand is, shape (3,).
+    """
+    return middle if past is None else past + _FOLLOW * (middle - past)
 
 
 def draw_skeleton(

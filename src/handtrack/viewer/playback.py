@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 
 from handtrack.camera.frame import DepthFrame
 from handtrack.camera.sequence import RecordedSequence, Sequence
+from handtrack.viewer.controls import FASTEST
 
 LATE = 0.25
 """Behind the recording's clock by more than this [s], the clock is set back instead of hurried."""
@@ -80,7 +81,7 @@ class Playback:
         Args:
             speed: Multiple of the recording's own speed.
         """
-        if self.live or speed == float("inf"):
+        if self.live or speed == FASTEST:
             self._anchor = None
             return 0.0
         frame = self._read_ahead()

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from handtrack.camera.camera import Camera
 from handtrack.hand.model import ShapedHand
 from handtrack.tracking.shape_calibration import Calibration
-from handtrack.viewer.pictures import OverlayPainter, PictureStyle, contact_sheet
+from handtrack.viewer.pictures import INK, OverlayPainter, PictureStyle, contact_sheet
 
-_INK = (240, 240, 240)
 _STYLE = PictureStyle(panel=(300, 300), zoom=0.26, side_by_side=False, mesh_opacity=0.6)
 
 
@@ -25,19 +24,23 @@ def shape_page(fit: Calibration, camera: Camera, mean: ShapedHand) -> NDArray[np
     Returns:
         Picture, shape (height, width, 3), channels B G R.
     """
-    pictures = []
-    for row, depth in enumerate(fit.depths):
-        left_out = "" if fit.used[row] else ", left out"
+    columns = [
+        (told, OverlayPainter(hand, camera, style=_STYLE), poses, errors)
         for told, hand, poses, errors in (
             ("mean hand", mean, fit.mean_poses, fit.mean_errors),
             ("fitted", fit.hand, fit.poses, fit.errors),
-        ):
-            painter = OverlayPainter(hand, camera, style=_STYLE)
+        )
+    ]
+    pictures = []
+    for row, depth in enumerate(fit.depths):
+        left_out = "" if fit.used[row] else ", left out"
+        for told, painter, poses, errors in columns:
+            painter.cut()
             pictures.append(painter.paint(
                 depth, poses[row],
                 lines=[
-                    (f"image {fit.images[row]}, {told}{left_out}", _INK),
-                    (f"depth error {1e3 * errors[row]:.1f} mm", _INK),
+                    (f"image {fit.images[row]}, {told}{left_out}", INK),
+                    (f"depth error {1e3 * errors[row]:.1f} mm", INK),
                 ],
             ))  # fmt: skip
     return contact_sheet(pictures, 4 if len(fit.depths) > 3 else 2)

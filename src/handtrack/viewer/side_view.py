@@ -16,11 +16,18 @@ from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
-from handtrack.hand.skeleton import NQ
 from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.transforms import matrix_to_quat, quat_to_matrix, rotvec_to_matrix
 from handtrack.viewer.depth_colours import EMPTY_COLOUR, Image
-from handtrack.viewer.pictures import FINGER_COLOURS, draw_skeleton
+from handtrack.viewer.pictures import (
+    FINGER_COLOURS,
+    PIXELS_PER_METRE,
+    SKIN,
+    check_panel,
+    draw_skeleton,
+    drawable_pose,
+    followed,
+)
 from handtrack.viewer.shading import Colour, finger_tints, shade_mesh, wrist_fade
 
 EYE_DISTANCE = 0.6
@@ -31,9 +38,6 @@ POINT_COLOUR: Colour = (190, 150, 92)
 
 REACH = 0.35
 """Points farther than this from the hand [m] are left out."""
-
-_SKIN: Colour = (178, 201, 226)
-_FOLLOW = 0.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,8 +60,7 @@ class SideStyle:
         Raises:
             InputError: A setting is out of range.
         """
-        if min(self.panel) < 64 or max(self.panel) > 4096:
-            raise InputError(f"panel is {self.panel}: expected sides of 64 to 4096 pixels")
+        check_panel(self.panel)
         if not 0.05 <= self.span <= 5.0:
             raise InputError(f"span is {self.span}: expected 0.05 to 5 m")
         if not (-180 <= self.turn <= 180 and -90 <= self.rise <= 90):
@@ -94,7 +97,7 @@ class SidePainter:
             cy=0.5 * (height - 1),
         )  # fmt: skip
         self._renderer = DepthRenderer(hand, self.eye, device=device, batch=1)
-        self._tints = finger_tints(hand, _SKIN, FINGER_COLOURS, 0.3)
+        self._tints = finger_tints(hand, SKIN, FINGER_COLOURS, 0.3)
         self._fade = wrist_fade(hand)
         turn, rise = np.deg2rad([self.style.turn, self.style.rise])
         self._R_eye_camera = rotvec_to_matrix([rise, 0, 0]) @ rotvec_to_matrix([0, -turn, 0])
@@ -114,19 +117,13 @@ class SidePainter:
         Raises:
             InputError: The depth image or the pose has the wrong shape.
         """
-        where = None if pose is None else np.asarray(pose, np.float64)
-        if where is not None and where.shape != (NQ,):
-            raise InputError(f"pose has shape {where.shape}: expected ({NQ},)")
-        if where is not None and not np.isfinite(where).all():
-            where = None
+        where = drawable_pose(pose)
         points = self.camera.points(depth).reshape(-1, 3)
         points = points[points[:, 2] > 0].astype(np.float64)
         joints = None if where is None else keypoints(self.hand, where)
         picture = np.full((self.eye.height, self.eye.width, 3), EMPTY_COLOUR, np.uint8)
         if joints is not None:
-            middle = joints.mean(axis=0)
-            past = middle if self._centre is None else self._centre
-            self._centre = past + _FOLLOW * (middle - past)
+            self._centre = followed(self._centre, joints.mean(axis=0))
         if self._centre is None:
             return picture
         surface = np.zeros(self.eye.shape, np.float32)
@@ -138,7 +135,7 @@ class SidePainter:
         near = np.linalg.norm(points - self._centre, axis=1) < REACH
         self._draw_points(picture, surface, self._seen(points[near]))
         if joints is not None:
-            size = self.eye.fx / EYE_DISTANCE / 1400.0
+            size = self.eye.fx / EYE_DISTANCE / PIXELS_PER_METRE
             draw_skeleton(picture, self.eye.project(self._seen(joints)), size=size)
         return picture
 

@@ -23,7 +23,7 @@ from handtrack.errors import HandtrackError, InputError, MissingDependencyError
 from handtrack.viewer.controls import Controls
 from handtrack.viewer.depth_colours import Image
 from handtrack.viewer.mailbox import Mailbox
-from handtrack.viewer.pictures import draw_lines
+from handtrack.viewer.pictures import INK, draw_lines
 from handtrack.viewer.viewer import View
 from handtrack.viewer.web_panel import WebPanel, confidence_text
 from handtrack.viewer.web_scene import DIRECTIONS, FIRST_LOOK, WebScene, eye_at
@@ -44,7 +44,6 @@ SHOT_SIZE = (960, 720)
 """Width and height of the scene in a screenshot [pixels]."""
 
 _ANSWER_SECONDS = 20.0
-_INK = (240, 240, 240)
 
 _log = logging.getLogger(__name__)
 
@@ -148,8 +147,8 @@ class WebViewer:
         if view is not None:
             hand = view.hand
             draw_lines(shot, [
-                (f"frame {view.frame.index}: {hand.state.value.replace('_', ' ')}", _INK),
-                (confidence_text(hand).replace("±", "+/-"), _INK),
+                (f"frame {view.frame.index}: {hand.state.value.replace('_', ' ')}", INK),
+                (confidence_text(hand).replace("±", "+/-"), INK),
             ])  # fmt: skip
         return shot
 

@@ -17,6 +17,7 @@ from handtrack.viewer.controls import SPEEDS, Controls
 from handtrack.viewer.depth_colours import Image, colour_depth, depth_range
 from handtrack.viewer.pictures import STATE_COLOURS, draw_skeleton
 from handtrack.viewer.viewer import View
+from handtrack.viewer.web_scene import change
 
 if TYPE_CHECKING:
     import viser
@@ -136,19 +137,21 @@ class WebPanel:
     def draw(self, view: View) -> None:
         """Show a view."""
         self._note_timings(view)
-        self._set(self._play, "label", "Play" if view.paused else "Pause")
-        self._set(self._record, "label", "Stop recording" if view.recording else "Record")
-        self._set(self._record, "color", "red" if view.recording else None)
-        self._set(self._tracker, "value", view.tracker)
+        change(self._play, label="Play" if view.paused else "Pause")
+        change(
+            self._record, label="Stop recording" if view.recording else "Record",
+            color="red" if view.recording else None,
+        )  # fmt: skip
+        change(self._tracker, value=view.tracker)
         now = time.monotonic()
         self._image.content = image_text(panel_picture(view, self._follow(view)))
         if view.paused or now - self._text_time > TEXT_PERIOD:
             self._text_time = now
-            self._set(self._state, "content", state_text(view))
+            change(self._state, content=state_text(view))
             if self._length and now - self._scrub_time > SCRUB_HOLD:
-                self._set(self._slider, "value", view.frame.index)
+                change(self._slider, value=view.frame.index)
             medians = {name: float(np.median(spent)) for name, spent in self._timings.items()}
-            self._set(self._table, "content", timings_text(medians))
+            change(self._table, content=timings_text(medians))
 
     def _follow(self, view: View) -> tuple[float, float]:
         """Near and far end of the image's colours [m], which follow the hand gently."""
@@ -165,12 +168,6 @@ class WebPanel:
         """Keep the time that each stage took."""
         for name, spent in view.hand.timings.items():
             self._timings[name].append(spent)
-
-    @staticmethod
-    def _set(element: Any, name: str, value: Any) -> None:
-        """Change a property that differs, and send nothing when it does not."""
-        if getattr(element, name) != value:
-            setattr(element, name, value)
 
 
 def panel_picture(view: View, ends: tuple[float, float]) -> Image:

@@ -115,7 +115,7 @@ class WebScene:
     def _draw_points(self, frame: DepthFrame) -> None:
         """The depth image as points."""
         points = scene_points(frame) if self.show_points else _NOTHING[:0]
-        _change(self._points, visible=len(points) > 0)
+        change(self._points, visible=len(points) > 0)
         if len(points):
             self._points.points = points.astype(np.float16)
 
@@ -130,16 +130,16 @@ class WebScene:
                     cast_shadow=False, receive_shadow=False,
                 )  # fmt: skip
             self._mesh.vertices = hand.vertices
-            _change(self._mesh, color=LOST_SKIN if lost else SKIN)
+            change(self._mesh, color=LOST_SKIN if lost else SKIN)
         if self._mesh is not None:
-            _change(self._mesh, visible=seen and self.show_mesh)
+            change(self._mesh, visible=seen and self.show_mesh)
         if seen:
             points = hand.keypoints
             self._centre = points.mean(axis=0, dtype=np.float64)
             self._bones.points = points[BONES]
             self._keypoints.points = points
         for node in (self._bones, self._keypoints):
-            _change(node, visible=seen and self.show_skeleton)
+            change(node, visible=seen and self.show_skeleton)
 
     def _draw_hypotheses(self, hypotheses: Hypotheses | None) -> None:
         """Skeletons of all candidates, from green to red by their depth error."""
@@ -188,8 +188,8 @@ def eye_at(
     return (x, y, z), (u, v, w)
 
 
-def _change(node: Any, **properties: Any) -> None:
-    """Set what differs, and send nothing otherwise."""
+def change(node: Any, **properties: Any) -> None:
+    """Set what differs of an element of the page, and send nothing otherwise."""
     for name, value in properties.items():
         if getattr(node, name) != value:
             setattr(node, name, value)

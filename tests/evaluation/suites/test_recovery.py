@@ -14,8 +14,7 @@ from handtrack.evaluation.suites import recovery
 from handtrack.evaluation.suites.recovery import drawn_places, recovery_suite, scrambled
 from handtrack.evaluation.suites.subjects import SubjectFrames
 from handtrack.evaluation.suites.suite import SuiteResult, SuiteSettings, load_cases, run_suite
-from handtrack.hand.kinematics import keypoints
-from handtrack.synthesis.viewpoints import palm_centre
+from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.transforms import quat_to_matrix
 from oracles.automatic import AutomaticOracle
 from oracles.scenes import hand_model, seen_poses, shaped_hand

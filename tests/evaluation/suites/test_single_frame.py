@@ -13,8 +13,7 @@ from handtrack.errors import InputError
 from handtrack.evaluation.suites import single_frame
 from handtrack.evaluation.suites.single_frame import facing_camera, single_frame_suite
 from handtrack.evaluation.suites.suite import SuiteResult, SuiteSettings, load_cases, run_suite
-from handtrack.hand.kinematics import keypoints
-from handtrack.synthesis.viewpoints import palm_centre
+from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.transforms import matrix_to_quat, rotvec_to_matrix
 from oracles.automatic import AutomaticOracle
 from oracles.scenes import PALM_TO_CAMERA, shaped_hand

@@ -11,11 +11,13 @@ import trimesh
 from numpy.typing import NDArray
 
 from handtrack.hand.kinematics import skin
+from handtrack.hand.learning import virtual_scanner
 from handtrack.hand.learning.posed_template import Template
-from handtrack.hand.learning.virtual_scanner import virtual_scan
+from handtrack.hand.learning.scans import Scan
 from handtrack.hand.learning.weights import dense_weights, slot_weights
 from handtrack.hand.model import HandModel
 from handtrack.hand.shape import HandShape
+from handtrack.hand.surface_distance import surface_distance
 from handtrack.transforms import matrix_to_quat, rotvec_to_matrix
 
 
@@ -24,8 +26,17 @@ class Scanned:
     """One scan and what it was made from."""
 
     mesh: trimesh.Trimesh
+    pose: str
     vertices: NDArray[np.float64]
-    pose: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    arm: NDArray[np.bool_]
+
+    def scan(self, subject: str = "a") -> Scan:
+        return Scan.of_mesh(self.mesh, subject=subject, pose=self.pose)
+
+    def away(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distances of a hand's vertices, arm apart, from the surface that was scanned [m]."""
+        return surface_distance(vertices[~self.arm], self.vertices, self.faces)
 
 
 @pytest.fixture(scope="session")
@@ -41,7 +52,7 @@ def template(model: HandModel) -> Template:
 @pytest.fixture(scope="session")
 def open_faces(model: HandModel) -> NDArray[np.int32]:
     """The skin without the cap that closes the forearm."""
-    return model.faces[(model.faces != len(model.vertices) - 1).all(axis=1)]
+    return virtual_scanner.open_faces(model)
 
 
 @pytest.fixture(scope="session")
@@ -76,7 +87,10 @@ def blurred(model: HandModel) -> HandModel:
 
 @pytest.fixture(scope="session")
 def scan_of(
-    model: HandModel, open_faces: NDArray[np.int32], poses: dict[str, NDArray[np.float64]]
+    model: HandModel,
+    template: Template,
+    open_faces: NDArray[np.int32],
+    poses: dict[str, NDArray[np.float64]],
 ) -> Callable[[HandShape, str, int], Scanned]:
     """Scan of a shape in a pose that is met to some degrees, from anywhere."""
 
@@ -87,6 +101,7 @@ def scan_of(
         place = rng.standard_normal(3)
         full = np.concatenate([place, turn, np.clip(angles, *model.limits.T)])
         vertices = skin(model.shaped(shape), full)
-        return Scanned(virtual_scan(vertices, open_faces, rng), vertices, full)
+        mesh = virtual_scanner.virtual_scan(vertices, open_faces, rng)
+        return Scanned(mesh, pose, vertices, open_faces, template.stub)
 
     return make

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from handtrack.errors import InputError
 from handtrack.hand.learning import LearningOptions, LearntHand, Scan, find_scans, learn_hand
 from handtrack.hand.learning.posed_template import PosedTemplate, Template
-from handtrack.hand.learning.surface_distance import surface_distance
 from handtrack.hand.learning.weights import dense_weights, mean_weight_error
 from handtrack.hand.model import HandModel
 
@@ -31,25 +30,16 @@ def made(model: HandModel, scan_of: Callable) -> dict[str, list]:
 
 @pytest.fixture(scope="module")
 def learnt(made: dict, blurred: HandModel, poses: dict[str, NDArray]) -> LearntHand:
-    scans = {
-        subject: [
-            Scan.of_mesh(one.mesh, subject=subject, pose=pose)
-            for one, pose in zip(own, ("rest", "bent"), strict=True)
-        ]
-        for subject, own in made.items()
-    }
+    scans = {subject: [one.scan(subject) for one in own] for subject, own in made.items()}
     return learn_hand(scans, poses, template=blurred, options=OPTIONS)
 
 
-def test_surfaces_of_all_scans_are_recovered(
-    learnt: LearntHand, made: dict, open_faces: NDArray
-) -> None:
+def test_surfaces_of_all_scans_are_recovered(learnt: LearntHand, made: dict) -> None:
     template = Template.of(learnt.model)
     for subject, fit in learnt.subjects.items():
         posed = PosedTemplate(template, fit.shape, fit.poses)
         for vertices, truth in zip(posed.vertices, made[subject], strict=True):
-            away = surface_distance(vertices[~template.stub], truth.vertices, open_faces)
-            assert away.mean() < 0.0005
+            assert truth.away(vertices).mean() < 0.0005
 
 
 def test_weights_come_nearer_to_the_true_ones(
@@ -89,10 +79,7 @@ def test_scans_on_disk_give_what_scans_in_memory_give(
     first = dict(list(made.items())[:2])
     for subject, own in first.items():
         own[0].mesh.export(tmp_path / f"{subject}_rest.ply")
-    in_memory = {
-        subject: [Scan.of_mesh(own[0].mesh, subject=subject, pose="rest")]
-        for subject, own in first.items()
-    }
+    in_memory = {subject: [own[0].scan(subject)] for subject, own in first.items()}
     told = []
     a = learn_hand(
         find_scans(tmp_path),

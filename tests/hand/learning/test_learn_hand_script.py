@@ -14,12 +14,13 @@ sys.path.insert(0, str(MODELS))
 import learn_hand  # noqa: E402
 from hand_builder.build import HandBuilder  # noqa: E402
 from learn_report import blurred, residual_picture, weight_errors  # noqa: E402
-from learn_scans import Truth, make_scans, open_faces  # noqa: E402
+from learn_scans import Truth, make_scans  # noqa: E402
 
 from handtrack.errors import DamagedFileError, MissingFileError  # noqa: E402
 from handtrack.hand.learning import LearntHand, find_scans, read_scan  # noqa: E402
-from handtrack.hand.learning.surface_distance import surface_distance  # noqa: E402
+from handtrack.hand.learning.virtual_scanner import open_faces  # noqa: E402
 from handtrack.hand.model import HandModel  # noqa: E402
+from handtrack.hand.surface_distance import surface_distance  # noqa: E402
 
 
 @pytest.fixture

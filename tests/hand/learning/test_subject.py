@@ -17,7 +17,6 @@ from handtrack.hand.learning.subject import (
     neighbour_laplacian,
     start_subject,
 )
-from handtrack.hand.learning.surface_distance import surface_distance
 from handtrack.hand.learning.weights import WeightSupport
 from handtrack.hand.model import HandModel
 
@@ -33,21 +32,17 @@ def test_unregistered_scans_give_the_surface(
     mean: PopulationMean,
     poses: dict[str, NDArray],
     scan_of: Callable,
-    open_faces: NDArray,
 ) -> None:
     shape = model.sample_shape(np.random.default_rng(3))
     made = [scan_of(shape, pose, seed) for seed, pose in enumerate(("rest", "bent"))]
-    scans = [
-        Scan.of_mesh(m.mesh, subject="a", pose=p)
-        for m, p in zip(made, ("rest", "bent"), strict=True)
-    ]
+    scans = [one.scan() for one in made]
     angles = np.array([poses["rest"], poses["bent"]])
     fitter = SubjectFitter(template, scans, angles, mean, LearningOptions(first_steps=10))
     begun = fitter.begin(start_subject(template, scans, angles))
     fit = fitter.improve(begun, 4)
     fitted = PosedTemplate(template, fit.shape, fit.poses).vertices
     for vertices, truth in zip(fitted, made, strict=True):
-        away = surface_distance(vertices[~template.stub], truth.vertices, open_faces)
+        away = truth.away(vertices)
         assert away.mean() < 0.0004
         assert np.quantile(away, 0.95) < 0.0012
     assert fit.residuals[-1] < 0.5 * begun.residuals[0]

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from handtrack.errors import InputError
 from handtrack.hand.kinematics import skin
-from handtrack.hand.learning.surface_distance import surface_distance
 from handtrack.hand.learning.virtual_scanner import ScannerOptions, virtual_scan
 from handtrack.hand.model import HandModel
+from handtrack.hand.surface_distance import surface_distance
 
 CLEAN = ScannerOptions(vertices=4000, noise=0.0, holes=0, gap=0.0)
 

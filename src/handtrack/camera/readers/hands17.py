@@ -68,7 +68,7 @@ class SequenceHands17(RecordedSequence):
                 key=lambda file: natural_key(file.name),
             )
             names = [file.name for file in self._files]
-            beside = next((f for f in map(_own_labels, (path.parent,)) if f is not None), None)
+            beside = _own_labels(path.parent)
             if beside is not None:
                 joints = _joints_of(names, *_read_labels(beside))
         if not names:

@@ -21,9 +21,10 @@ from handtrack.camera.camera import Camera
 from handtrack.camera.optional import import_extra
 from handtrack.camera.readers.bag_check import check_bag
 from handtrack.camera.readers.realsense_profile import camera_of, depth_sensor_of, depth_unit_of
-from handtrack.camera.readers.rosbag import ROS1_MAGIC, SQLITE_MAGIC, sqlite_topics, starts_with
+from handtrack.camera.readers.rosbag import ROS1_MAGIC, SQLITE_MAGIC, one_line, sqlite_topics
 from handtrack.camera.sequence import RecordedSequence, check_override
 from handtrack.errors import DamagedFileError, DeviceError, HandtrackError, InputError
+from handtrack.files import starts_with
 
 _TOPIC = "/device_0/"
 """How librealsense's topics start."""
@@ -68,7 +69,7 @@ class SequenceRealSense(RecordedSequence):
         except HandtrackError:
             raise
         except RuntimeError as error:
-            raise DamagedFileError(f"{path} cannot be played: {_one_line(error)}") from error
+            raise DamagedFileError(f"{path} cannot be played: {one_line(error)}") from error
         finally:
             self.close()
         if not self._shots:
@@ -96,7 +97,7 @@ class SequenceRealSense(RecordedSequence):
             pixels = self._following(index) if playing else self._found(index)
         except RuntimeError as error:
             raise DamagedFileError(
-                f"{self.frame_names[index]} of {self._path} cannot be played: {_one_line(error)}"
+                f"{self.frame_names[index]} of {self._path} cannot be played: {one_line(error)}"
             ) from error
         if pixels is None:
             raise DamagedFileError(f"{self._path} does not give {self.frame_names[index]} again")
@@ -217,8 +218,3 @@ def _bag_index(path: Path) -> bytes:
         position = int.from_bytes(start[place + 10 : place + 18], "little") if place > 0 else 0
         file.seek(position if 0 < position < path.stat().st_size else 0)
         return file.read(_INDEX_BYTES)
-
-
-def _one_line(error: Exception) -> str:
-    """An error of librealsense in one line."""
-    return " ".join(str(error).split()) or type(error).__name__

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import sqlite3
-from abc import abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,6 +16,7 @@ from handtrack.camera.optional import import_extra
 from handtrack.camera.readers import ros_images
 from handtrack.camera.sequence import RecordedSequence, check_override
 from handtrack.errors import DamagedFileError, HandtrackError, InputError
+from handtrack.files import starts_with
 
 ROS1_MAGIC = b"#ROSBAG V"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -30,11 +30,6 @@ class SequenceBag(RecordedSequence):
     has_topics = True
     suffixes: ClassVar[tuple[str, ...]]
     """What the name of a file must end with: `rosbags` goes by it."""
-
-    @classmethod
-    @abstractmethod
-    def recognises(cls, path: Path) -> bool:
-        """Whether a path that exists holds this format, judged by its content."""
 
     def __init__(
         self,
@@ -271,15 +266,6 @@ class SequenceMcap(SequenceBag):
         return path.is_file() and starts_with(path, MCAP_MAGIC)
 
 
-def starts_with(path: Path, magic: bytes) -> bool:
-    """Whether a file starts with certain bytes."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(magic)) == magic
-    except OSError:
-        return False
-
-
 def sqlite_topics(path: Path) -> list[str]:
     """Names of the topics in an SQLite bag; none where it is no bag or is damaged."""
     try:
@@ -310,9 +296,14 @@ def _rate(times: NDArray[np.float64]) -> float | None:
     return round(1.0 / step, 3) if step > 1e-4 else None
 
 
+def one_line(error: Exception) -> str:
+    """What an error of a library says, in one line."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def _damaged(path: Path, error: Exception) -> DamagedFileError:
     """What to say of a bag that `rosbags` cannot read, in one line."""
-    reason = " ".join(str(error).split()) or type(error).__name__
+    reason = one_line(error)
     if "not indexed" in reason:
         reason += " (rosbag reindex repairs a bag whose recording was cut off)"
     return DamagedFileError(f"{path} cannot be read: {reason}")

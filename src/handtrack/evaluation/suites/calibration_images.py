@@ -15,13 +15,10 @@ from handtrack.hand.model import ShapedHand
 from handtrack.synthesis.noise import noise_preset
 from handtrack.synthesis.poses import load_poses
 from handtrack.synthesis.renderer import DepthRenderer
-from handtrack.synthesis.viewpoints import place_in_view, random_elbow
+from handtrack.synthesis.viewpoints import R_CAMERA_UPRIGHT, place_in_view, random_elbow
 from handtrack.transforms import matrix_to_quat, rotvec_to_matrix
 
 Float = NDArray[np.float64]
-
-_FACING = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""R_camera_palm of a right hand with fingers up and its palm to the camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +53,7 @@ def calibration_images(
     for name in data["poses"]:
         angles = named[name] + np.radians(data["jitter"]) * rng.standard_normal(21)
         turn = rotvec_to_matrix(np.radians(data["tilt"]) * rng.uniform(-1.0, 1.0, 3))
-        rotation = turn @ _FACING
+        rotation = turn @ R_CAMERA_UPRIGHT
         pose = np.concatenate([
             np.zeros(3), matrix_to_quat(rotation), angles.clip(*hand.limits.T),
         ])  # fmt: skip

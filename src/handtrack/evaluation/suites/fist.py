@@ -9,18 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handtrack.errors import InputError
-from handtrack.hand.kinematics import keypoints
+from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import FINGERS
 from handtrack.synthesis.motion import Motion
+from handtrack.synthesis.viewpoints import R_CAMERA_UPRIGHT
 from handtrack.transforms import matrix_to_quat, rotvec_to_matrix
 
 Float = NDArray[np.float64]
-
-R_CAMERA_UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""R_camera_palm of a right hand with fingers up and palm to the camera."""
-
-_PALM_KEYPOINTS = (0, 5, 9, 13, 17)
 
 
 def fist_motion(case: Mapping[str, Any], hand: ShapedHand) -> Motion:
@@ -53,7 +49,7 @@ def fist_motion(case: Mapping[str, Any], hand: ShapedHand) -> Motion:
     poses = np.zeros((frames, 28))
     poses[:, 3:7] = matrix_to_quat(turned(turns) @ R_CAMERA_UPRIGHT)
     poses[:, 7:] = angles
-    poses[:, :3] = places - keypoints(hand, poses)[:, list(_PALM_KEYPOINTS)].mean(axis=1)
+    poses[:, :3] = places - palm_centre(keypoints(hand, poses))
     return Motion.from_poses(
         poses,
         name="selftest",

@@ -22,8 +22,7 @@ from handtrack.camera.sequence import RecordedSequence
 from handtrack.camera.source import open_sequence
 from handtrack.errors import InputError
 from handtrack.evaluation.suites.suite import SuiteResult, SuiteSettings, chosen, judged
-from handtrack.evaluation.timing import StageTimer
-from handtrack.tracking.result import TrackState
+from handtrack.evaluation.timing import StageTimer, percentiles
 from handtrack.tracking.tracker import HandTracker
 
 _UNIT = 0.001
@@ -91,7 +90,7 @@ def _measure(
             # Sources of this suite stamp by the clock of the host, so exposure is known here.
             ages.append(1e3 * (now - frame.time))
             timer.add_frame({}, total_ms=result.timings.get("total", 0.0))
-            found += result.state in (TrackState.TRACKING, TrackState.RECOVERED)
+            found += result.state.sure
             if not len(moments) or now - begin - moments[-1] >= _SAMPLE_SECONDS:
                 memory.append(resident_mb())
                 moments.append(now - begin)
@@ -105,10 +104,8 @@ def _measure(
         "frames_per_second": len(ages) / spent,
         "frames_sent": sent_in_all, "frames_tracked": len(ages), "frames_dropped": dropped,
         "frames_unaccounted": abs(sent_in_all - len(ages) - dropped),
-        "frames_found": int(found),
-        "result_age_ms": {
-            f"p{share}": float(np.percentile(np.frombuffer(ages), share)) for share in (50, 95, 99)
-        },
+        "frames_found": found,
+        "result_age_ms": percentiles(np.frombuffer(ages)),
         "settled_seconds": settled,
         "memory_mb": [round(value, 1) for value in memory[:: max(1, len(memory) // 60)]],
         "memory_growth_mb": growth(np.frombuffer(memory), np.frombuffer(moments), settled),

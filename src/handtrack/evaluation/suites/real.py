@@ -85,9 +85,7 @@ def real_suite(settings: SuiteSettings, cases: Mapping[str, Any]) -> SuiteResult
     data = chosen(settings, cases)
     if settings.data is None:
         raise InputError("the suite real needs the folder with the recordings: --data DIR")
-    folder = settings.data / data["folder"]
-    if not folder.is_dir():
-        folder = settings.data
+    folder = images_folder(settings.data, data)
     model = HandModel.load()
     images = [_labelled(folder, name) for name in data["labelled"]]
     images += [image_with_tips(folder, name) for name in data["fingertips"]]
@@ -277,6 +275,17 @@ def _overlays(one: _Tracked, case: Mapping[str, Any]) -> list[Overlay]:
             )
         )  # fmt: skip
     return found
+
+
+def images_folder(recordings: Path, data: Mapping[str, Any]) -> Path:
+    """The folder that the suite's data name among the recordings; that of all, when there is none.
+
+    Args:
+        recordings: The user's folder.
+        data: The suite's `folder`.
+    """
+    folder = recordings / data["folder"]
+    return folder if folder.is_dir() else recordings
 
 
 def _read(folder: Path, name: str) -> LabelledImage:

@@ -21,9 +21,9 @@ from handtrack.evaluation.suites.suite import (
     chosen,
     judged,
 )
-from handtrack.hand.kinematics import keypoints
+from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.hand.model import HandModel, ShapedHand
-from handtrack.synthesis.viewpoints import palm_centre, random_rotation
+from handtrack.synthesis.viewpoints import random_rotation
 from handtrack.tracking.tracker import HandTracker
 from handtrack.transforms import matrix_to_quat
 

@@ -19,7 +19,7 @@ from handtrack.camera.frame import DepthFrame, FrameTruth
 from handtrack.errors import InputError
 from handtrack.evaluation.suites.fist import keyframe_track, turned
 from handtrack.evaluation.suites.suite import SuiteSettings
-from handtrack.hand.kinematics import keypoints
+from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.hand.model import ShapedHand
 from handtrack.synthesis.motion import Motion
 from handtrack.synthesis.noise import noise_preset
@@ -28,7 +28,6 @@ from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.synthesis.scenery import DepthScene
 from handtrack.synthesis.sequence import worn_by
 from handtrack.synthesis.things import MeshRenderer, cup_mesh
-from handtrack.synthesis.viewpoints import palm_centre
 from handtrack.transforms import matrix_to_quat, quat_to_matrix
 
 Float = NDArray[np.float64]

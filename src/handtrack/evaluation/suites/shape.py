@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
 from handtrack.evaluation.suites.calibration_images import calibration_images
-from handtrack.evaluation.suites.real import image_with_tips, tip_errors
+from handtrack.evaluation.suites.real import image_with_tips, images_folder, tip_errors
 from handtrack.evaluation.suites.subjects import motion_of
 from handtrack.evaluation.suites.suite import (
     Curves,
@@ -179,7 +179,8 @@ def _online(
     data: Mapping[str, Any], settings: SuiteSettings, model: HandModel, subjects: UnseenSubjects
 ) -> tuple[list[dict[str, Any]], dict[str, tuple[Float, Float]]]:
     """Cases `online` of adaption and of the offline fit to the same frames, and curves."""
-    adapted, offline, converged, frozen, slowest, lines = [], [], [], [], [], {}
+    mean = model.shaped()
+    adapted, offline, before, converged, frozen, slowest, lines = [], [], [], [], [], [], {}
     camera, motion = Camera.from_dict(data["camera"]), motion_of(data)
     for number in settings.progress(data["subjects"], len(data["subjects"]), "adapting"):
         truth = subjects.hand(number, model)
@@ -205,6 +206,7 @@ def _online(
         adapted.append(ShapeError.of(tracker.hand, truth))
         fit = calibrate(frames, camera, device=settings.device, seed=settings.seed, model=model)
         offline.append(ShapeError.of(fit.hand, truth))
+        before.append(ShapeError.of(mean, truth))
         lines[f"subject {number}"] = (
             np.arange(len(frames), dtype=np.float64),
             1e3 * np.abs(np.array(lengths) - truth.bone_lengths).mean(axis=1),
@@ -219,11 +221,7 @@ def _online(
             error_against_offline=float(ratio), frame_ms={"p95": float(np.mean(slowest))},
         ),
         _case("online", "fit_shape", offline, frames=count),
-        _case(
-            "online", "none",
-            [ShapeError.of(model.shaped(), subjects.hand(n, model)) for n in data["subjects"]],
-            frames=count,
-        ),
+        _case("online", "none", before, frames=count),
     ], lines  # fmt: skip
 
 
@@ -235,9 +233,7 @@ def _real(
 ) -> tuple[list[dict[str, Any]], list[Overlay]]:
     """Cases `real` with the mean hand and with the shape fitted to the other images."""
     assert settings.data is not None
-    folder = settings.data / data["folder"]
-    if not folder.is_dir():
-        folder = settings.data
+    folder = images_folder(settings.data, data)
     halves = [[image_with_tips(folder, name) for name in half] for half in data["halves"]]
     errors: dict[str, list[tuple[float, float]]] = {"mean-hand": [], "size": [], "fitted": []}
     overlays = []

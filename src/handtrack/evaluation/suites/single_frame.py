@@ -20,9 +20,9 @@ from handtrack.evaluation.suites.suite import (
     chosen,
     judged,
 )
+from handtrack.hand.kinematics import palm_centre
 from handtrack.hand.model import HandModel
 from handtrack.synthesis.dataset import DatasetBatch, DatasetConfig, SyntheticDataset
-from handtrack.synthesis.viewpoints import palm_centre
 from handtrack.tracking.tracker import HandTracker
 from handtrack.transforms import quat_to_matrix
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 import tempfile
 
 from handtrack.errors import HandtrackError
+from handtrack.evaluation.suites.own_process import OwnProcessError, run_script
 
 _LIMIT_SECONDS = 1800.0
 
@@ -62,22 +59,8 @@ def measure_start(device: str, *, cold: bool) -> dict[str, float]:
 
 def _start(device: str, cache: str | None) -> dict[str, float]:
     """One process; a kernel cache of its own when a folder is given."""
-    environment = child_environment()
-    if cache is not None:
-        environment["WARP_CACHE_PATH"] = cache
+    variables = {} if cache is None else {"WARP_CACHE_PATH": cache}
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _SCRIPT, device],
-            capture_output=True, text=True, env=environment, timeout=_LIMIT_SECONDS, check=True,
-        )  # fmt: skip
-        return json.loads(done.stdout.strip().splitlines()[-1])
-    except subprocess.CalledProcessError as error:
-        last = (error.stderr.strip().splitlines() or ["no message"])[-1]
-        raise StartUpError(f"starting a tracker in its own process failed: {last}") from error
-    except (subprocess.TimeoutExpired, ValueError, IndexError, OSError) as error:
+        return run_script(_SCRIPT, [device], limit_seconds=_LIMIT_SECONDS, variables=variables)
+    except OwnProcessError as error:
         raise StartUpError(f"starting a tracker in its own process failed: {error}") from error
-
-
-def child_environment() -> dict[str, str]:
-    """Environment for a process of Python's that finds what this one finds."""
-    return dict(os.environ) | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,7 +10,7 @@ import numpy as np
 from handtrack.artifacts import artifact_path
 from handtrack.device import resolve_device
 from handtrack.errors import HandtrackError
-from handtrack.evaluation.suites.start_up import child_environment
+from handtrack.evaluation.suites.own_process import OwnProcessError, run_script
 from handtrack.evaluation.suites.suite import SuiteResult, SuiteSettings, chosen, judged
 from handtrack.evaluation.timing import StageTimer
 
@@ -136,18 +133,8 @@ def _rounds(device: str, tracker: str, data: Mapping[str, Any]) -> list[dict[str
         str(data["frames"]), _CLIENT,
     ]  # fmt: skip
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _SCRIPT, *words],
-            capture_output=True, text=True, env=child_environment(), timeout=_LIMIT_SECONDS,
-            check=True,
-        )  # fmt: skip
-        return json.loads(done.stdout.strip().splitlines()[-1])
-    except subprocess.CalledProcessError as error:
-        last = (error.stderr.strip().splitlines() or ["no message"])[-1]
-        raise ViewerSuiteError(
-            f"the loop with a viewer failed in its own process: {last}"
-        ) from error
-    except (subprocess.TimeoutExpired, ValueError, IndexError, OSError) as error:
+        return run_script(_SCRIPT, words, limit_seconds=_LIMIT_SECONDS)
+    except OwnProcessError as error:
         raise ViewerSuiteError(
             f"the loop with a viewer failed in its own process: {error}"
         ) from error

@@ -52,7 +52,7 @@ def first_pose(
     """
     pose = np.concatenate([np.zeros(3), [1.0, 0.0, 0.0, 0.0], angles])
     posed = PosedTemplate(template, shape, pose[None])
-    vertices, normals = posed.vertices[0], posed.normals()[0]
+    vertices, normals = posed.vertices[0], posed.normals[0]
     if scan.registered:
         size, turn, place = _similarity(vertices, scan.points)
         return _as_pose(turn, place, angles), size

@@ -8,13 +8,14 @@ weights.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.hand.inverse_kinematics import BonePoints, point_jacobian
-from handtrack.hand.kinematics import bone_frames
-from handtrack.hand.model import HandModel, ShapedHand, skeleton_frames, vertex_normals
+from handtrack.hand.kinematics import bone_frames, skin_of_frames
+from handtrack.hand.model import HandModel, ShapedHand, vertex_normals
 from handtrack.hand.skeleton import BONE_PARENTS, NBONE, NV, finger_of_bone
 
 Float = NDArray[np.float64]
@@ -64,9 +65,7 @@ class Template:
             offset_mean=np.zeros((len(model.vertices) + 5, 3)),
             offset_basis=np.zeros((len(model.vertices) + 5, 3, 0)),
         )
-        rotations, origins = skeleton_frames(
-            model.bone_rotations, model.bone_origins, model.dof_axes, model.rest_angles
-        )
+        rotations, origins = model.rest_skeleton()
         hand = plain.shaped()
         return cls(
             model=plain,
@@ -117,12 +116,10 @@ class PosedTemplate:
         self._overall = template.overall(shape)
         self._hand = template.hand(shape)
         self._rotations, self._origins = bone_frames(self._hand, poses)
-        bones = self._hand.weight_bones
-        placed = np.einsum("tvkij,vkj->tvki", self._rotations[:, bones], self._hand.local_vertices)
-        placed += self._origins[:, bones]
-        self.vertices: Float = np.einsum("vk,tvki->tvi", self._hand.weights, placed)
+        self.vertices: Float = skin_of_frames(self._hand, self._rotations, self._origins)
         """Vertices [m], shape (npose, nvert, 3)."""
 
+    @cached_property
     def normals(self) -> Float:
         """Unit normals of the posed meshes, shape (npose, nvert, 3)."""
         return np.stack([vertex_normals(mesh, self._hand.faces) for mesh in self.vertices])

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.decomposition import PCA
 
 from handtrack.errors import InputError
 from handtrack.hand.learning.posed_template import SubjectShape, Template
@@ -62,9 +61,9 @@ def learn_bases(template: Template, shapes: Sequence[SubjectShape], share: float
         raise InputError(f"a shape space of {len(shapes)} subject: expected two subjects or more")
     reach = np.sqrt((template.model.vertices**2).sum(axis=1).mean())
     units = np.concatenate([[reach], template.lengths])
-    scales = _principal(np.array([template.scales(s) for s in shapes]), units, share)
+    scales = principal_components(np.array([template.scales(s) for s in shapes]), units, share)
     stacked = np.array([shape.all_offsets.ravel() for shape in shapes])
-    offsets = _principal(stacked, np.ones(stacked.shape[1]), share)
+    offsets = principal_components(stacked, np.ones(stacked.shape[1]), share)
     rows = len(template.model.vertices) + 5
     return ShapeBases(
         scale_mean=scales[0],
@@ -76,13 +75,24 @@ def learn_bases(template: Template, shapes: Sequence[SubjectShape], share: float
     )
 
 
-def _principal(samples: Float, units: Float, share: float) -> tuple[Float, Float, Float]:
-    """Mean, basis with one column per standard deviation, and explained shares."""
-    pca = PCA(svd_solver="full").fit(samples * units)
-    shares, variances = pca.explained_variance_ratio_, np.asarray(pca.explained_variance_)
-    components = np.asarray(pca.components_)
-    count = min(int(np.searchsorted(np.cumsum(shares), share) + 1), len(samples) - 1)
-    basis = (components[:count] * np.sqrt(variances[:count, None]) / units).T
+def principal_components(samples: Float, units: Float, share: float) -> tuple[Float, Float, Float]:
+    """PCA with as many components as explain a share of the variance.
+
+    Args:
+        samples: Shape (n, d).
+        units: Unit in which each entry is compared, shape (d,).
+        share: Share of the total variance to explain.
+
+    Returns:
+        Mean, shape (d,); basis with one column per standard deviation, shape (d, ncomponent); share
+        of the variance that each column explains, shape (ncomponent,).
+    """
+    mean = samples.mean(axis=0)
+    _, deviations, components = np.linalg.svd((samples - mean) * units, full_matrices=False)
+    explained = deviations**2 / (deviations**2).sum()
+    count = min(int(np.searchsorted(np.cumsum(explained), share) + 1), len(samples) - 1)
+    deviations = deviations[:count, None] / np.sqrt(len(samples) - 1)
+    basis = (components[:count] * deviations / units).T
     # A component's sign is arbitrary: make its largest entry positive so that runs agree.
     signs = np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(count)])
-    return pca.mean_ / units, basis * signs, shares[:count]
+    return mean, basis * signs, explained[:count]

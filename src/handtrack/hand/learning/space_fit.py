@@ -24,7 +24,7 @@ _DATA_STD = 0.0005
 _ANGLE_STD = 1.0
 """Departure from the start of an angle [rad]; settles what a scan leaves open."""
 _LONGEST_STEP = 0.35
-"""Largest change of an angle or a coordinate, the latter in standard deviations, in one step."""
+"""Largest turn of the palm or of a joint in one step [rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,16 +66,16 @@ def fit_in_space(
     coordinates = np.zeros(ncoord)
     first = poses.copy()
     for limit in np.geomspace(*reach, steps):
-        shape = _subject_shape(model, template, coordinates)
+        shape = _subject_shape(model, coordinates)
         posed = PosedTemplate(template, shape, poses)
-        normals = posed.normals()
+        normals = posed.normals
         by_pose = posed.by_pose()
         system = np.eye(ncoord + NV * len(poses)) * 1e-6
         slope = np.zeros(len(system))
         own = np.arange(ncoord)
         system[own, own] += 1.0
         slope[own] += coordinates
-        by_shape = _by_coordinates(model, template, posed, coordinates)
+        by_shape = _by_coordinates(model, posed, coordinates)
         for index, surface in enumerate(surfaces):
             matches = surface.match(posed.vertices[index], normals[index], reach=float(limit))
             jacobian = np.concatenate([by_shape[index], by_pose[index]], axis=2)
@@ -87,36 +87,38 @@ def fit_in_space(
             system[at, at] += 1.0 / _ANGLE_STD**2
             slope[at] += (poses[index, 7:] - first[index, 7:]) / _ANGLE_STD**2
         step = -np.linalg.solve(system, slope)
-        moves = step[ncoord:].reshape(len(poses), NV)
+        moves = step[ncoord:].reshape(len(poses), NV)  # a view: shortened with the step
         step *= min(1.0, _LONGEST_STEP / max(float(np.abs(moves[:, 3:]).max()), 1e-12))
         coordinates = coordinates + step[:ncoord]
-        poses = apply_increment(poses, step[ncoord:].reshape(len(poses), NV))
-    alpha, beta = np.split(coordinates, [model.nalpha]) if free_shape else (np.zeros(0),) * 2
-    found = HandShape(alpha=alpha, beta=beta)
+        poses = apply_increment(poses, moves)
+    found = _hand_shape(model, coordinates)
     return SpaceFit(shape=found, poses=poses, vertices=skin(model.shaped(found), poses))
 
 
-def _subject_shape(model: HandModel, template: Template, coordinates: Float) -> SubjectShape:
+def _hand_shape(model: HandModel, coordinates: Float) -> HandShape:
+    """Shape of alpha and beta; the mean hand of no coordinates."""
+    alpha, beta = np.split(coordinates, [model.nalpha])
+    return HandShape(alpha=alpha, beta=beta)
+
+
+def _subject_shape(model: HandModel, coordinates: Float) -> SubjectShape:
     """Stretches and offsets of a point of the shape space."""
-    alpha, beta = _padded(model, coordinates)
-    scales = model.scale_mean + model.scale_basis @ alpha
-    offsets = model.offset_mean + model.offset_basis @ beta
-    count = len(template.model.vertices)
+    shape = _hand_shape(model, coordinates)
+    scales = model.scales(shape)
+    offsets = model.offset_mean + model.offset_basis[..., : len(shape.beta)] @ shape.beta
+    count = len(model.vertices)
     return SubjectShape(
         stretches=scales[0] * scales[1:], joints=offsets[count:], offsets=offsets[:count]
     )
 
 
-def _by_coordinates(
-    model: HandModel, template: Template, posed: PosedTemplate, coordinates: Float
-) -> Float:
+def _by_coordinates(model: HandModel, posed: PosedTemplate, coordinates: Float) -> Float:
     """Derivative of the vertices by alpha and beta, shape (npose, nvert, 3, nalpha + nbeta)."""
     if not len(coordinates):
         return np.zeros((*posed.vertices.shape, 0))
-    alpha, _ = _padded(model, coordinates)
-    scales = model.scale_mean + model.scale_basis @ alpha
+    scales = model.scales(_hand_shape(model, coordinates))
     stretched = scales[0] * model.scale_basis[1:] + np.outer(scales[1:], model.scale_basis[0])
-    count = len(template.model.vertices)
+    count = len(model.vertices)
     joints = model.offset_basis[count:].reshape(15, -1)
     return np.concatenate(
         [
@@ -126,10 +128,3 @@ def _by_coordinates(
         ],
         axis=3,
     )
-
-
-def _padded(model: HandModel, coordinates: Float) -> tuple[Float, Float]:
-    """Alpha and beta; zeros when there are no coordinates."""
-    full = np.zeros(model.nalpha + model.nbeta)
-    full[: len(coordinates)] = coordinates
-    return full[: model.nalpha], full[model.nalpha :]

@@ -197,7 +197,7 @@ class SubjectFitter:
         return [
             surface.match(vertices, normals, reach=reach)
             for surface, vertices, normals in zip(
-                self._surfaces, posed.vertices, posed.normals(), strict=True
+                self._surfaces, posed.vertices, posed.normals, strict=True
             )
         ]
 
@@ -205,7 +205,7 @@ class SubjectFitter:
         return [
             surface.match_back(vertices, normals, self._template.stub, reach=reach)
             for surface, vertices, normals in zip(
-                self._surfaces, posed.vertices, posed.normals(), strict=True
+                self._surfaces, posed.vertices, posed.normals, strict=True
             )
         ]
 

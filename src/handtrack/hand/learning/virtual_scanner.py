@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from handtrack.errors import InputError
+from handtrack.hand.model import HandModel
 
 Float = NDArray[np.float64]
 
@@ -53,6 +54,11 @@ class ScannerOptions:
             )
         if not (self.noise >= 0 and self.gap >= 0):
             raise InputError(f"noise {self.noise} and gap {self.gap}: expected no negative length")
+
+
+def open_faces(model: HandModel) -> NDArray[np.int32]:
+    """Triangles of the skin, without the cap that closes the forearm around the last vertex."""
+    return model.faces[(model.faces != len(model.vertices) - 1).all(axis=1)]
 
 
 def virtual_scan(
