@@ -12,10 +12,10 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "handtrack"
 
 STAGES = (
     "camera", "hand", "objects", "kernels", "priors", "synthesis", "forest", "fitting", "tracking",
-    "evaluation", "export", "physics", "grasp", "viewer", "config", "cli",
+    "physics", "grasp", "evaluation", "export", "viewer", "config", "cli",
 )  # fmt: skip
 """In the order in which data flows: a stage imports only stages before it."""
-ROOT_FILES = ("errors", "device", "transforms", "artifacts", "files")
+ROOT_FILES = ("errors", "device", "transforms", "artifacts", "files", "optional")
 """Files that every stage may import, and that import nothing of the package but each other."""
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "common", "misc", "core"}
 MAX_LINES = 500

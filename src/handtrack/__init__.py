@@ -16,9 +16,9 @@ The stages, one folder each, in the order in which data flows through them::
        |
     tracking    memory over frames, picks the best  -> HandResult
        |
-    evaluation  metrics and benchmarks                 export     files and streams for others
-       |
     physics     simulation of the hand                 grasp      synthesis and control
+       |
+    evaluation  metrics and benchmarks                 export     files and streams for others
        |
     viewer      pictures, videos, web viewer           cli        the `handtrack` command
 

@@ -8,8 +8,10 @@ import time
 import numpy as np
 import pytest
 
-pytest.importorskip(
-    "pyrealsense2", reason="pyrealsense2 is not installed: pip install 'handtrack[realsense]'"
+pytest.importorskip(  # which finds nothing where the system's libusb is missing
+    "pyrealsense2",
+    reason="pyrealsense2 is not installed: pip install 'handtrack[realsense]'",
+    exc_type=ImportError,
 )
 
 from handtrack.camera.camera import Camera

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handtrack import artifacts
+from handtrack import artifacts, optional
 from handtrack.artifacts import artifact_files, artifact_path, artifact_root
-from handtrack.camera import optional
 from handtrack.camera.source import FORMATS, LIVE_SOURCES
 from handtrack.cli import main
 from handtrack.errors import MissingFileError

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from handtrack.camera.optional import EXTRAS, installed
 from handtrack.camera.source import FORMATS, LIVE_SOURCES, reader
+from handtrack.optional import EXTRAS, installed
 
 PACKAGES = (
     "numpy", "scipy", "warp-lang", "opencv-python-headless", "trimesh", "scikit-learn", "tyro",

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from handtrack.camera.optional import import_extra
 from handtrack.cli.track import TrackOptions
 from handtrack.errors import HandtrackError, InputError
+from handtrack.optional import import_extra
 
 DONE, SKIPPED, FAILED, INTERRUPTED = "done", "skipped", "failed", "interrupted"
 

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
-from handtrack.camera.optional import import_extra
 from handtrack.camera.readers.bag_check import check_bag
 from handtrack.camera.readers.realsense_profile import camera_of, depth_sensor_of, depth_unit_of
 from handtrack.camera.readers.rosbag import ROS1_MAGIC, SQLITE_MAGIC, one_line, sqlite_topics
 from handtrack.camera.sequence import RecordedSequence, check_override
 from handtrack.errors import DamagedFileError, DeviceError, HandtrackError, InputError
 from handtrack.files import starts_with
+from handtrack.optional import import_extra
 
 _TOPIC = "/device_0/"
 """How librealsense's topics start."""

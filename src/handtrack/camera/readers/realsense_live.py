@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from handtrack.camera.live import LiveImage, LiveInfo
-from handtrack.camera.optional import import_extra
 from handtrack.camera.readers.realsense_profile import camera_of, depth_sensor_of, depth_unit_of
 from handtrack.errors import DeviceError
+from handtrack.optional import import_extra
 
 PREFERRED_SIZE = (640, 480)
 """Width and height that are taken where the camera offers them [pixels]."""

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
-from handtrack.camera.optional import import_extra
 from handtrack.camera.readers import ros_images
 from handtrack.camera.sequence import RecordedSequence, check_override
 from handtrack.errors import DamagedFileError, HandtrackError, InputError
 from handtrack.files import starts_with
+from handtrack.optional import import_extra
 
 ROS1_MAGIC = b"#ROSBAG V"
 MCAP_MAGIC = b"\x89MCAP0\r\n"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.camera.camera import Camera
-from handtrack.camera.optional import import_extra
+from handtrack.optional import import_extra
 
 
 class SoftwareCamera:

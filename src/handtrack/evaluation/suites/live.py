@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from handtrack.artifacts import artifact_path
 from handtrack.camera.live import LiveDriver, LiveSequence
-from handtrack.camera.optional import installed
 from handtrack.camera.readers.replay import ReplayDriver
 from handtrack.camera.sequence import RecordedSequence
 from handtrack.camera.source import open_sequence
 from handtrack.errors import InputError
 from handtrack.evaluation.suites.suite import SuiteResult, SuiteSettings, chosen, judged
 from handtrack.evaluation.timing import StageTimer, percentiles
+from handtrack.optional import installed
 from handtrack.tracking.tracker import HandTracker
 
 _UNIT = 0.001

@@ -1,4 +1,4 @@
-"""Packages that only some sources need: importing them, and saying how to install them."""
+"""Packages that only some parts need: importing them, and saying how to install them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "cluster": ("dask", "distributed"),
     "viewer": ("viser",),
     "publish": ("websockets",),
-    "physics": ("mujoco",),
+    "physics": ("mujoco", "daqp", "coacd"),
 }
 """Extra of this distribution -> the modules that it installs."""
 
@@ -33,9 +33,14 @@ def import_extra(module: str, extra: str, purpose: str) -> ModuleType:
     try:
         return import_module(module)
     except ImportError as error:
+        package = module.split(".")[0]
+        if find_spec(package) is not None:  # there, but a part of the system that it needs is not
+            raise MissingDependencyError(
+                f"{purpose} needs the package {package}, which is installed but cannot be "
+                f"loaded: {error}"
+            ) from error
         raise MissingDependencyError(
-            f"{purpose} needs the package {module.split('.')[0]} ({error}): "
-            f"pip install 'handtrack[{extra}]'"
+            f"{purpose} needs the package {package} ({error}): pip install 'handtrack[{extra}]'"
         ) from error
 
 
