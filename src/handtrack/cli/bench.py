@@ -206,8 +206,8 @@ def _print(options: BenchOptions, result: SuiteResult, document: dict[str, Any])
     if options.format == "short":
         print("\n".join(_lines(result)))
         return
-    # Tables are as wide as they need to be where nobody's terminal folds them.
-    console = Console(highlight=False, width=None if Console().is_terminal else 200)
+    # Tables get the width they need: squeezed into a terminal, they would lose the cases' names.
+    console = Console(highlight=False, width=1000)
     _print_tables(console, result)
     versions = document["versions"]
     console.print(

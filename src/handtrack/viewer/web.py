@@ -10,10 +10,13 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -42,6 +45,9 @@ MOST_RATE = 30.0
 
 SHOT_SIZE = (960, 720)
 """Width and height of the scene in a screenshot [pixels]."""
+
+NICENESS = 10
+"""Niceness of the threads that draw and send: tracking comes first."""
 
 _ANSWER_SECONDS = 20.0
 
@@ -83,7 +89,9 @@ class WebViewer:
             MissingDependencyError: viser is not installed.
             InputError: The host or the port cannot be listened at.
         """
-        self._server = _start_server(host, port)
+        # The server's threads inherit the niceness of the one that starts them.
+        with ThreadPoolExecutor(1, initializer=_give_way) as pool:
+            self._server = pool.submit(_start_server, host, port).result()
         self.url = f"http://{host}:{self._server.get_port()}"
         """Address of the page."""
         self.drawn = 0
@@ -154,6 +162,7 @@ class WebViewer:
 
     def _work(self) -> None:
         """Draw the newest view, again and again; the viewer's own thread."""
+        _give_way()
         while (view := self._mailbox.take()) is not None:
             begin = time.perf_counter()
             if self._draw_unseen or self.clients:
@@ -215,6 +224,13 @@ class WebViewer:
         event.client.send_file_download(
             f"handtrack-{index:06d}.png", content.tobytes(), save_immediately=True
         )
+
+
+def _give_way() -> None:
+    """Let this thread wait for tracking's, where threads have priorities of their own."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):  # a sandbox may forbid it; it is only a courtesy
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
 
 
 def _start_server(host: str, port: int) -> viser.ViserServer:
