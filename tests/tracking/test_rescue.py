@@ -5,14 +5,15 @@ import pytest
 
 from handtrack.camera.camera import Camera
 from handtrack.errors import InputError
+from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import HandModel
 from handtrack.hand.shape import HandShape
 from handtrack.synthesis.motion import Motion
 from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.tracking import model_based
 from handtrack.tracking.model_based import ModelBasedConfig, TrackerModelBased
-from handtrack.tracking.rescue import restart_poses
-from handtrack.transforms import quat_to_matrix
+from handtrack.tracking.rescue import restart_poses, turned_over
+from handtrack.transforms import pose_difference, quat_to_matrix
 
 CAMERA = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=80.0, cy=60.0)
 
@@ -51,6 +52,23 @@ def test_restarts_stay_within_limits_and_repeat(takes):
     assert (first[:, 7:] >= hand.limits[:, 0]).all() and (first[:, 7:] <= hand.limits[:, 1]).all()
     np.testing.assert_allclose(np.linalg.norm(first[:, 3:7], axis=1), 1.0, atol=1e-9)
     assert np.abs(first[:, :3] - takes[0, :3]).max() < 0.08
+
+
+def test_hands_are_turned_over_about_their_middle_with_the_same_angles(takes):
+    hand, poses = HandModel.load().shaped(), np.repeat(takes[:1], 400, axis=0)
+    turned = turned_over(hand, poses, np.random.default_rng(5))
+    np.testing.assert_array_equal(turned, turned_over(hand, poses, np.random.default_rng(5)))
+    np.testing.assert_array_equal(turned[:, 7:], poses[:, 7:])
+    middle = keypoints(hand, turned).mean(axis=1) - keypoints(hand, poses).mean(axis=1)
+    assert np.abs(middle).max() < 1e-9
+    angles = np.linalg.norm([pose_difference(one, poses[0])[3:6] for one in turned], axis=1)
+    assert np.median(angles) > 1.0
+    # Palm for back, fingers still pointing the way they did; and fingers where the wrist was.
+    R = quat_to_matrix(turned[:, 3:7])
+    along = R[:, :, 0] @ quat_to_matrix(poses[0, 3:7])[:, 0]
+    normal = R[:, :, 1] @ quat_to_matrix(poses[0, 3:7])[:, 1]
+    assert 0.25 < ((along > 0.7) & (normal < -0.7)).mean() < 0.5
+    assert 0.05 < ((along < -0.7) & (normal > 0.7)).mean() < 0.3
 
 
 def test_a_wrong_shape_does_not_cost_restarts_on_every_frame(takes, tries):

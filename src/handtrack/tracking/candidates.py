@@ -18,7 +18,7 @@ from handtrack.forest.cascade import Cascade
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.tracking.best_fit import unit_poses
-from handtrack.tracking.rescue import restart_poses
+from handtrack.tracking.rescue import restart_poses, turned_over
 
 Float = NDArray[np.float64]
 
@@ -278,12 +278,22 @@ class Refinement:
 
 
 def restarts_around(
-    elite: Candidates, rows: int, hand: ShapedHand, rng: np.random.Generator
+    elite: Candidates, rows: int, hand: ShapedHand, rng: np.random.Generator, *, turned: float
 ) -> Candidates:
-    """Candidates and random restarts around them, `rows` in all."""
+    """Candidates and random restarts around them, `rows` in all.
+
+    Args:
+        elite: Candidates to start from.
+        rows: How many in all.
+        hand: Whose poses they are.
+        rng: Source of the random numbers.
+        turned: Share of the restarts that are turned over as well.
+    """
     owner = np.arange(rows) % len(elite.poses)
     poses = elite.poses[owner]
     for k in range(len(elite.poses)):
         mine = np.flatnonzero(owner == k)[1:]
         poses[mine] = restart_poses(hand, elite.poses[k], len(mine), rng)
+        over = mine[rng.random(len(mine)) < turned]
+        poses[over] = turned_over(hand, poses[over], rng)
     return replace(elite.take(owner), poses=poses)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import ANGLE_BONES, FINGERS, finger_of_bone
 from handtrack.transforms import apply_increment, quat_to_matrix
@@ -34,6 +35,13 @@ it."""
 
 PALM_SPREAD, PALM_TURN, ANGLE_SPREAD = 0.005, 0.25, 0.1
 """Deviations of the palm's place [m], its direction [rad] and the joint angles [rad]."""
+
+OVER_SHARES = (0.4, 0.15, 0.2, 0.25)
+"""How often a hand that is turned over shows the back for the palm, has the fingers where the wrist
+was, turns about its palm's normal, or about any axis."""
+
+OVER_YAW, OVER_RANGE, OVER_SPREAD = 0.7, (0.4, 1.6), 0.15
+"""Deviation of the third turn, range of the fourth, and deviation added to all of them [rad]."""
 
 _ANGLE_FINGERS = np.array([finger_of_bone(bone) for bone in ANGLE_BONES])
 
@@ -67,3 +75,35 @@ def restart_poses(
     poses[:, 7:] += rng.normal(0.0, ANGLE_SPREAD, (count, len(_ANGLE_FINGERS)))
     poses[:, 7:] = np.clip(poses[:, 7:], hand.limits[:, 0], hand.limits[:, 1])
     return poses
+
+
+def turned_over(
+    hand: ShapedHand, poses: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Turn hands far from where they are, about their middle.
+
+    Depth shows the back of a flat hand as it shows its palm; a search that only shakes a pose does
+    not get from one to the other.
+
+    Args:
+        hand: Whose hand it is.
+        poses: Poses to turn, shape (n, 28).
+        rng: Source of the random numbers.
+
+    Returns:
+        Poses with the same joint angles, shape (n, 28).
+    """
+    count = len(poses)
+    axes = rng.normal(size=(count, 3))
+    axes *= (rng.uniform(*OVER_RANGE, count) / np.linalg.norm(axes, axis=1))[:, None]
+    ways = np.zeros((4, count, 3))
+    ways[0, :, 0] = ways[1, :, 1] = np.pi
+    ways[2, :, 1] = rng.normal(0.0, OVER_YAW, count)
+    ways[3] = axes
+    turn = np.zeros((count, 27))
+    turn[:, 3:6] = ways[rng.choice(4, count, p=OVER_SHARES), np.arange(count)]
+    turn[:, 3:6] += rng.normal(0.0, OVER_SPREAD, (count, 3))
+    turned = apply_increment(poses, turn)
+    middle = keypoints(hand, poses).mean(axis=1)
+    turned[:, :3] += middle - keypoints(hand, turned).mean(axis=1)
+    return turned

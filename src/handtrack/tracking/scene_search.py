@@ -62,6 +62,8 @@ class SearchConfig:
     """Poses refined per round."""
     elites: int = 6
     """Candidates that each round starts from."""
+    turned: float = 0.5
+    """Share of the restarts that are turned over: another side of the hand, another direction."""
 
     def __post_init__(self) -> None:
         """Check ranges.
@@ -72,6 +74,8 @@ class SearchConfig:
         for name, least in (("regions", 1), ("rounds", 0), ("rows", 1), ("elites", 1)):
             if getattr(self, name) < least:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least {least}")
+        if not 0 <= self.turned <= 1:
+            raise InputError(f"turned is {self.turned}; expected 0 to 1")
 
 
 class SceneSearch:
@@ -166,7 +170,7 @@ class SceneSearch:
                 pools = self._rounds.run(depths, [
                     restarts_around(
                         pool.best(cost(pool), self._config.elites, self._hand),
-                        self._config.rows, self._hand, rng,
+                        self._config.rows, self._hand, rng, turned=self._config.turned,
                     )
                     for pool in pools
                 ])  # fmt: skip
