@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from handtrack.camera.camera import Camera
     from handtrack.camera.frame import DepthFrame
     from handtrack.camera.source import open_sequence
+    from handtrack.grasp.synthesis import synthesize_grasp
     from handtrack.hand.model import HandModel
     from handtrack.hand.shape import HandShape
     from handtrack.tracking.result import HandResult, TrackState
@@ -62,6 +63,7 @@ _HOMES = {
     "TrackState": "handtrack.tracking.result",
     "fit_shape": "handtrack.tracking.shape_calibration",
     "open_sequence": "handtrack.camera.source",
+    "synthesize_grasp": "handtrack.grasp.synthesis",
 }
 
 __all__ = [
@@ -80,6 +82,7 @@ __all__ = [
     "TrackState",
     "fit_shape",
     "open_sequence",
+    "synthesize_grasp",
 ]
 
 

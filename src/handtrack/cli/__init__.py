@@ -29,6 +29,7 @@ VERBS: dict[str, str] = {
     "live": "track a camera; show, publish and record as it happens",
     "export": "write results for animation, virtual reality, biomechanics, spreadsheets",
     "fit-shape": "fit the hand model to its owner from a few depth images",
+    "grasp": "plan how a hand takes an object, and carry it out under physics",
     "synth": "render labelled depth sequences from recorded motion",
     "train-forest": "train the regressor that starts and recovers tracking",
     "bench": "measure accuracy and speed together",

@@ -29,8 +29,9 @@ class BenchOptions:
     leaves, a cup instead of a hand), speed (time per frame and stage by number of hypotheses),
     live (a camera for --minutes: memory, dropped frames, age of results), viewer (what the web
     viewer costs the loop), ablation (every switch changed), regression (the
-    forest alone), shape (fitted to images and while tracking), real (labelled real images,
-    --data); --sequence measures any recorded sequence.
+    forest alone), shape (fitted to images and while tracking), grasp (unseen objects grasped under
+    physics; its trackers are the controllers full, pd and pollard-zordan), real (labelled real
+    images, --data); --sequence measures any recorded sequence.
 
     Trackers that find the hand by themselves are never given a pose.
 
@@ -40,6 +41,7 @@ class BenchOptions:
         handtrack bench tracking --tracker model_based --tracker thesis --curves curves/
         handtrack bench tracking --tracker model_based --first-pose found --shape mean
         handtrack bench single-frame --tracker hybrid --pictures pictures/
+        handtrack bench grasp --quick
         handtrack bench real --data recordings/ --pictures pictures/
         handtrack bench --sequence data/demo.npz --tracker model_based --tracker thesis
     """
@@ -57,6 +59,7 @@ class BenchOptions:
             "ablation",
             "regression",
             "shape",
+            "grasp",
             "real",
             "sequence",
         ]
@@ -71,6 +74,9 @@ class BenchOptions:
     """Take every so many frames only; repeat the option for several. The suite's own without."""
     subject: Annotated[tuple[int, ...], tyro.conf.UseAppendAction] = ()
     """Seed of a subject; repeat the option for several. The suite's own without."""
+    section: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Suite grasp: run a part only: objects, grips, ablation, controllers, robustness or stacking;
+    repeat the option for several."""
     sequence: str | None = None
     """Recorded sequence to track: file or folder."""
     start: str = "truth"
@@ -136,6 +142,7 @@ def run(options: BenchOptions) -> int:
     device = compute_device(options.device)
     settings = SuiteSettings(
         trackers=options.tracker, subjects=options.subject, strides=options.stride,
+        sections=options.section,
         device=device.alias, seed=options.seed, quick=options.quick,
         shape=options.shape, first_pose=options.first_pose, data=options.data, cold=options.cold,
         minutes=options.minutes, progress=progress,
@@ -314,6 +321,7 @@ def _command(options: BenchOptions) -> str:
         words += ["--shape", options.shape]
     words += [word for number in options.stride for word in ("--stride", str(number))]
     words += [word for number in options.subject for word in ("--subject", str(number))]
+    words += [word for name in options.section for word in ("--section", name)]
     if options.seed:
         words += ["--seed", str(options.seed)]
     words += ["--quick"] * options.quick + ["--cold"] * options.cold

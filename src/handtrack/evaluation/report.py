@@ -35,6 +35,12 @@ _COLUMNS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("case", ("case",), "{}"),
     ("tracker", ("tracker",), "{}"),
     ("frames", ("frames",), "{:d}"),
+    ("success", ("success_rate",), "{:.1%}"),
+    ("off mm", ("position_error_mm", "mean"), "{:.1f}"),
+    ("off deg", ("rotation_error_deg", "mean"), "{:.1f}"),
+    ("deepest mm", ("penetration_mm", "max"), "{:.1f}"),
+    ("synthesis ms", ("synthesis_ms", "median"), "{:.0f}"),
+    ("x real time", ("realtime_factor",), "{:.2f}"),
     ("mean mm", ("keypoint_error_mm", "mean"), "{:.3f}"),
     ("median mm", ("keypoint_error_mm", "median"), "{:.2f}"),
     ("p95 mm", ("keypoint_error_mm", "p95"), "{:.2f}"),
@@ -106,6 +112,10 @@ def check_case(case: Case) -> None:
         if group not in case:
             continue
         entries = case[group]
+        if group == "success_rate" and not isinstance(entries, Mapping):
+            # Of trials that succeed or not, a share; of frames, one share for each threshold.
+            _check_number(name, group, entries, highest=1.0)
+            continue
         if not isinstance(entries, Mapping) or any(key not in entries for key in needed):
             raise InputError(
                 f"case {name!r}: {group!r} must hold {', '.join(needed) or 'stages'}, "
@@ -265,13 +275,13 @@ def markdown_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str
 
 
 def _get(case: Case, path: tuple[str, ...]) -> Any:
-    """Value at a path of keys, None where there is none."""
+    """Value at a path of keys, None where there is none or a group of values."""
     value: Any = case
     for key in path:
         if not isinstance(value, Mapping) or key not in value:
             return None
         value = value[key]
-    return value
+    return None if isinstance(value, Mapping) else value
 
 
 def _format(value: Any, form: str) -> str:

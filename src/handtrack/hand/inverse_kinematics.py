@@ -75,17 +75,39 @@ def point_jacobian(hand: ShapedHand, points: BonePoints, pose: ArrayLike) -> tup
     rotations, origins = bone_frames(hand, pose)
     turned = rotations[:, points.bones] @ points.offsets[..., None]
     placed = origins[:, points.bones] + turned[..., 0]
+    bones = np.broadcast_to(points.bones, placed.shape[:2])
+    return placed, jacobian_of_frames(
+        hand, np.asarray(pose, np.float64), rotations, origins, bones, placed
+    )
+
+
+def jacobian_of_frames(
+    hand: ShapedHand, pose: Float, rotations: Float, origins: Float, bones: NDArray, placed: Float
+) -> Float:
+    """Derivative by the increment of points that may sit on other bones in every pose.
+
+    Args:
+        hand: One person's hand.
+        pose: Poses, shape (n, 28).
+        rotations: Their bones' rotations, shape (n, 16, 3, 3).
+        origins: Their bones' origins [m], shape (n, 16, 3).
+        bones: Bone of each point, shape (n, npoint).
+        placed: The points where they are [m], shape (n, npoint, 3).
+
+    Returns:
+        Derivatives, shape (n, npoint, 3, 27).
+    """
     jacobian = np.zeros((*placed.shape, NV))
     jacobian[..., :3] = np.eye(3)
     # Palm frame turn w: d p = R (w x (p - t)), so column k is R e_k x (p - t).
     arm = placed - origins[:, :1]
     columns = np.swapaxes(rotations[:, 0], 1, 2)
     jacobian[..., 3:6] = np.swapaxes(np.cross(columns[:, None], arm[:, :, None]), 2, 3)
-    axes = _angle_axes(hand, rotations, np.asarray(pose, np.float64))
+    axes = _angle_axes(hand, rotations, pose)
     lever = placed[:, :, None] - origins[:, None, list(ANGLE_BONES)]
-    spin = np.cross(axes[:, None], lever) * _MOVES[points.bones][None, :, :, None]
+    spin = np.cross(axes[:, None], lever) * _MOVES[bones][..., None]
     jacobian[..., 6:] = np.swapaxes(spin, 2, 3)
-    return placed, jacobian
+    return jacobian
 
 
 def _angle_axes(hand: ShapedHand, rotations: Float, pose: Float) -> Float:

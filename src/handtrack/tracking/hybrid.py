@@ -26,11 +26,7 @@ from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NV
 from handtrack.tracking.best_fit import fit_best
-from handtrack.tracking.candidates import (
-    Candidates,
-    CandidateSearch,
-    misplacement,
-)
+from handtrack.tracking.candidates import Candidates, CandidateSearch, misplacement
 from handtrack.tracking.doubt import Doubt
 from handtrack.tracking.judge import HandJudge
 from handtrack.tracking.patience import Patience
@@ -390,7 +386,9 @@ class TrackerHybrid:
     ) -> Found | None:
         """The best candidate of the whole scene, or the tracked pose when that is better."""
         if self._sure or self._judge is None:
-            (found,) = self._scene.run(depth[None], regions, self._costs, self._rng)
+            # A hand that was there a moment ago has hardly turned over.
+            turned = 0.0 if self._sure else None
+            (found,) = self._scene.run(depth[None], regions, self._costs, self._rng, turned=turned)
             if found is None or tracked is None:
                 return found or tracked
             chosen = self._better(depth, tracked, found)

@@ -139,6 +139,8 @@ class SceneSearch:
         regions: list[list[HandRegion]],
         cost: Cost,
         rng: np.random.Generator,
+        *,
+        turned: float | None = None,
     ) -> list[Found | None]:
         """Search every frame.
 
@@ -147,6 +149,7 @@ class SceneSearch:
             regions: Where, in each of them; see `regions`.
             cost: What the candidates are compared by.
             rng: Source of the random numbers.
+            turned: Share of the restarts that are turned over; the configuration's when None.
 
         Returns:
             The best pose of each frame; None where nothing has the size of a hand.
@@ -166,11 +169,12 @@ class SceneSearch:
             found.take(np.arange(k * per_frame, (k + 1) * per_frame)) for k in range(self.frames)
         ]
         if self._rounds is not None:
+            turned = self._config.turned if turned is None else turned
             for _ in range(self._config.rounds):
                 pools = self._rounds.run(depths, [
                     restarts_around(
                         pool.best(cost(pool), self._config.elites, self._hand),
-                        self._config.rows, self._hand, rng, turned=self._config.turned,
+                        self._config.rows, self._hand, rng, turned=turned,
                     )
                     for pool in pools
                 ])  # fmt: skip

@@ -67,11 +67,31 @@ def shade_mesh(
         opacity: Opacity of each vertex, shape (nvert,).
     """
     depth, items, vertices, faces = renderer.surface(pose)
+    return light_surface(
+        depth, items, vertices[: renderer.hand.nvert], faces, renderer.camera, tints, opacity
+    )
+
+
+def light_surface(
+    depth: NDArray[np.float32], items: NDArray[np.int64], vertices: Float, faces: NDArray[np.int32],
+    camera: Camera, tints: Float, opacity: Float,
+) -> ShadedMesh:  # fmt: skip
+    """Light a mesh that was drawn, as `shade_mesh` does.
+
+    Args:
+        depth: Depth [m], 0 = nothing, shape (height, width).
+        items: Triangle seen in each pixel, same shape.
+        vertices: Vertices [m], camera frame, shape (nvert, 3).
+        faces: Triangles, outward, shape (nface, 3).
+        camera: Camera of the image.
+        tints: Colour of each vertex, shape (nvert, 3), B G R.
+        opacity: Opacity of each vertex, shape (nvert,).
+    """
     seen = depth > 0
     corners = faces[items[seen]]
-    points = _back_project(depth, seen, renderer.camera)
+    points = _back_project(depth, seen, camera)
     shares = _barycentric(points, vertices[corners])
-    normals = vertex_normals(vertices[: renderer.hand.nvert], faces)
+    normals = vertex_normals(vertices, faces)
     normal = _unit(np.einsum("pk,pki->pi", shares, normals[corners]))
     colour = np.einsum("pk,pki->pi", shares, tints[corners])
 

@@ -33,11 +33,16 @@ SUITES: dict[str, str] = {
     "regression": "the forest alone: features and structures, cross-validated over subjects",
     "ablation": "the tracker with every switch changed, one after the other",
     "shape": "hand shape from images and while tracking: unseen subjects, real images with --data",
+    "grasp": "unseen objects grasped under physics: success, penetration, accuracy, speed",
     "real": "real images with labelled joints or fingertips (needs --data)",
     "sequence": "any recorded sequence (needs --sequence)",
 }
 """Suite -> what it measures. Each is a module of this package, with a function NAME_suite, and a
 file in `benchmarks/`; dashes become underscores there."""
+
+CONTROLLERS = ("full", "pd", "pollard-zordan")
+"""What the suite grasp compares in place of trackers: `grasp.controller.VARIANTS`, named here so
+that other suites need not load MuJoCo."""
 
 FIRST_POSE_SUITES = ("tracking",)
 """Suites that can let an automatic tracker find the first poses."""
@@ -81,6 +86,8 @@ class SuiteSettings:
     """Seeds of the subjects; empty takes the suite's own."""
     strides: tuple[int, ...] = ()
     """Every so many frames; empty takes the suite's own."""
+    sections: tuple[str, ...] = ()
+    """Parts of the suite `grasp` to run; empty runs all."""
     device: str | None = None
     """"cpu", "cuda:N" or None for the best there is."""
     seed: int = 0
@@ -210,9 +217,10 @@ def run_suite(name: str, settings: SuiteSettings) -> SuiteResult:
     """
     if name not in SUITES:
         raise InputError(f"there is no suite {name!r}: expected one of {', '.join(SUITES)}")
+    known = CONTROLLERS if name == "grasp" else tuple(TRACKERS)
     for tracker in settings.trackers:
-        if tracker not in TRACKERS:
-            raise InputError(f"tracker is {tracker!r}; expected one of {', '.join(TRACKERS)}")
+        if tracker not in known:
+            raise InputError(f"tracker is {tracker!r}; expected one of {', '.join(known)}")
     if len(set(settings.trackers)) < len(settings.trackers):
         raise InputError(f"trackers are {', '.join(settings.trackers)}: name each one once")
     if settings.first_pose == "found" and name not in FIRST_POSE_SUITES:
@@ -220,6 +228,8 @@ def run_suite(name: str, settings: SuiteSettings) -> SuiteResult:
             f"the suite {name} does not let a tracker find first poses; "
             f"{' and '.join(FIRST_POSE_SUITES)} does"
         )
+    if settings.sections and name != "grasp":
+        raise InputError(f"the suite {name} has no sections; grasp has")
     if settings.shape in ("fitted", "adapted") and name != "tracking":
         raise InputError(
             f"the suite {name} does not fit shapes; tracking does, and shape measures them"

@@ -1,0 +1,230 @@
+"""Suite `grasp`: grasps synthesised for objects that are not in the database, under physics.
+
+The "tracker" of a case is the controller that drives the hand. A trial is one synthesis and one
+simulation; one that finds no grasp counts as a failure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import chain, product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handtrack.errors import InputError
+from handtrack.evaluation.suites.grasp_trials import GraspBench, Trial, case_of, spread
+from handtrack.evaluation.suites.suite import SuiteResult, SuiteSettings, chosen, judged
+from handtrack.grasp.closing import ClosingConfig
+from handtrack.grasp.controller import VARIANTS, Variant
+from handtrack.grasp.objective import ObjectiveConfig
+from handtrack.grasp.plan import GraspPlan
+from handtrack.grasp.recording import FRAME_RATE
+from handtrack.grasp.simulation import FallingBall, simulate_sequence
+from handtrack.grasp.synthesis import GraspSynthesizer, SynthesisConfig
+from handtrack.grasp.trajectory import reach
+
+Cases = list[dict[str, Any]]
+
+
+def grasp_suite(settings: SuiteSettings, cases: Mapping[str, Any]) -> SuiteResult:
+    """Run the suite; see `benchmarks/grasp.toml`.
+
+    Raises:
+        InputError: A controller or section is unknown.
+    """
+    data = chosen(settings, cases)
+    controllers: list[Variant] = [_variant(name) for name in data["trackers"]]
+    for name in settings.sections:
+        if name not in SECTIONS:
+            raise InputError(f"section is {name!r}; expected one of {', '.join(SECTIONS)}")
+    bench = GraspBench(settings, data)
+    found: Cases = []
+    for name, section in SECTIONS.items():
+        part = data if name == "objects" else data.get(name)
+        if part and (not settings.sections or name in settings.sections):
+            found += section(bench, part, controllers, settings)
+    return SuiteResult(
+        suite="grasp", cases=found, targets=judged(found, data["targets"], controllers[0]),
+        notes=[
+            "success: lifted 10 cm, carried 20 cm, held 2 s within 2 cm and 15 degrees of the "
+            "target, hand never over 3 mm deep; a trial without a grasp is a failure",
+            "synthesis is timed without the object's distance field, which is measured once for "
+            "every object",
+        ],
+    )  # fmt: skip
+
+
+def _variant(name: str) -> Variant:
+    for variant in VARIANTS:
+        if variant == name:
+            return variant
+    raise InputError(f"controller is {name!r}; expected one of {', '.join(VARIANTS)}")
+
+
+def _objects(
+    bench: GraspBench, data: Mapping[str, Any], controllers: list[Variant], settings: SuiteSettings
+) -> Cases:
+    """All objects, each grasped with whatever grip mode suits it."""
+    names, count = data["objects"], int(data["trials"])
+    found: dict[tuple[Variant, str], list[Trial]] = {}
+    for name in settings.progress(names, len(names), "objects"):
+        for controller in controllers:
+            found[controller, name] = [
+                bench.trial(bench.attempt(name, number), controller) for number in range(count)
+            ]
+    cases = []
+    for controller in controllers:
+        own = {name: trials for (who, name), trials in found.items() if who == controller}
+        cases.append(case_of("all", controller, list(chain(*own.values()))))
+        cubes = [trials for name, trials in own.items() if name.startswith("cube_")]
+        if len(cubes) > 1:
+            cases.append(case_of("cubes", controller, list(chain(*cubes))))
+        cases += [case_of(name, controller, trials) for name, trials in own.items()]
+    return cases
+
+
+def _grips(
+    bench: GraspBench, data: Mapping[str, Any], controllers: list[Variant], settings: SuiteSettings
+) -> Cases:
+    """One object grasped with several grip modes (thesis Fig. III.7, bottom)."""
+    cases, thing, grips = [], data["object"], data["names"]
+    for grip in settings.progress(grips, len(grips), "grip modes"):
+        attempts = [bench.attempt(thing, n, grip=grip) for n in range(int(data["trials"]))]
+        trials = [bench.trial(attempt, controllers[0]) for attempt in attempts]
+        cases.append(case_of(f"{thing}/{grip}", controllers[0], trials))
+    return cases
+
+
+def _ablation(
+    bench: GraspBench, data: Mapping[str, Any], controllers: list[Variant], settings: SuiteSettings
+) -> Cases:
+    """Terms of the objective left out, one after the other (thesis III.8.1)."""
+    cases = []
+    tasks = list(product(data["objects"], range(int(data["trials"]))))
+    for switch in data["switches"]:
+        objective = ObjectiveConfig(**switch["objective"])
+        planner = None
+        if switch["objective"]:
+            planner = bench.synthesizer(SynthesisConfig(closing=ClosingConfig(objective=objective)))
+        trials = [
+            bench.trial(bench.attempt(name, number, planner=planner), controllers[0])
+            for name, number in settings.progress(tasks, len(tasks), switch["name"])
+        ]
+        cases.append(case_of(f"ablation/{switch['name']}", controllers[0], trials))
+    return cases
+
+
+def _controllers(
+    bench: GraspBench, data: Mapping[str, Any], _: list[Variant], settings: SuiteSettings
+) -> Cases:
+    """The same plans under every controller (thesis III.8.2)."""
+    cases = []
+    tasks = list(product(data["objects"], range(int(data["trials"]))))
+    for variant in VARIANTS:
+        trials = [
+            bench.trial(bench.attempt(name, number), variant)
+            for name, number in settings.progress(tasks, len(tasks), f"controller {variant}")
+        ]
+        cases.append(case_of("controllers", variant, trials))
+    return cases
+
+
+def _robustness(
+    bench: GraspBench, data: Mapping[str, Any], controllers: list[Variant], settings: SuiteSettings
+) -> Cases:
+    """Plans carried out in a world other than they were made for (thesis III.8.3)."""
+    cases, changes = [], data["changes"]
+    for change in settings.progress(changes, len(changes), "robustness"):
+        thing = bench.thing(change.get("instead", change["object"]))
+        if "mass_times" in change:
+            thing = replace(thing, mass=thing.mass * change["mass_times"])
+        if "friction" in change:
+            thing = replace(thing, friction=change["friction"])
+        balls = [FallingBall(mass=change["ball_mass"])] if "ball_mass" in change else []
+        attempts = [bench.attempt(change["object"], n) for n in range(int(data["trials"]))]
+        trials = [
+            bench.trial(attempt, controllers[0], thing=thing, balls=balls) for attempt in attempts
+        ]
+        cases.append(case_of(f"robustness/{change['name']}", controllers[0], trials))
+    return cases
+
+
+def _stacking(
+    bench: GraspBench, data: Mapping[str, Any], controllers: list[Variant], _: SuiteSettings
+) -> Cases:
+    """Blocks stacked one after the other in one world (thesis Fig. III.8)."""
+    thing = bench.thing(data["object"])
+    planner = bench.synthesizer(
+        SynthesisConfig(release=True, clear_height=float(data["clear_height"]))
+    )
+    level = [1.0, 0.0, 0.0, 0.0]
+    starts = np.array([[*place, thing.rest_height, *level] for place in data["starts"]])
+    goals = np.array([[*place, *level] for place in data["goals"]])
+    goals[:, 2] += thing.rest_height
+    # Blocks whose turn never comes stay where they are.
+    away = np.linalg.norm(goals[:, :3] - starts[:, :3], axis=1)
+    # The hand comes to every block from the same side: blocks that stand must not be in its way.
+    homes = np.tile(planner.database.recordings[0].hand_poses[0], (len(starts), 1))
+    homes[:, :3] += starts[:, :3]
+    plans, attempts = [], []
+    for number, (start, goal, home) in enumerate(zip(starts, goals, homes, strict=True)):
+        attempt = bench.attempt(
+            data["object"], number, planner=planner, place=start, target=goal, hand=home
+        )
+        attempts.append(attempt)
+        if attempt.plan is None:
+            break
+        if plans:
+            plans[-1] = (number - 1, _going_to(attempt.plan.hand_poses[0], plans[-1][1], planner))
+        plans.append((number, attempt.plan))
+    runs = simulate_sequence(
+        plans, [replace(thing, name=f"{thing.name}_{k}") for k in range(len(starts))], starts,
+        hand=bench.hand, controller=controllers[0], solids=bench.solids,
+    )  # fmt: skip
+    away[: len(runs)] = [run.placed_error for run in runs]
+    trials = [
+        Trial(attempt=attempt, run=run)
+        for attempt, run in zip(attempts, [*runs, None][: len(attempts)], strict=True)
+    ]
+    case = case_of("stacking", controllers[0], trials)
+    # Here a block must lie where it belongs after the hand has let go of it.
+    placed = {
+        "off_mm": (1e3 * away).round(2),
+        "frames": len(goals), "trials": len(goals), "position_error_mm": spread(1e3 * away),
+        "success_rate": float((away <= data["within"]).mean()),
+    }  # fmt: skip
+    return [case | placed]
+
+
+def _going_to(pose: NDArray[np.float64], plan: GraspPlan, planner: GraspSynthesizer) -> GraspPlan:
+    """A plan after which the hand goes to where the next one starts."""
+    way = reach(
+        planner.database, plan.grip, plan.hand_poses[-1], np.stack([pose, pose]), FRAME_RATE
+    )
+    # Up and over what stands there.
+    share = np.linspace(0.0, 1.0, len(way))
+    way[:, 2] += 0.12 * 16.0 * share**2 * (1.0 - share) ** 2
+    more = len(way) - 1
+    return replace(
+        plan,
+        times=np.concatenate([plan.times, plan.times[-1] + np.arange(1, more + 1) / FRAME_RATE]),
+        hand_poses=np.concatenate([plan.hand_poses, way[1:]]),
+        object_poses=np.concatenate([plan.object_poses, np.tile(plan.object_poses[-1], (more, 1))]),
+        phases=np.concatenate([plan.phases, np.full(more, "releasing")]),
+    )
+
+
+SECTIONS: dict[
+    str, Callable[[GraspBench, Mapping[str, Any], list[Variant], SuiteSettings], Cases]
+] = {
+    "objects": _objects,
+    "grips": _grips,
+    "ablation": _ablation,
+    "controllers": _controllers,
+    "robustness": _robustness,
+    "stacking": _stacking,
+}
+"""Parts of the suite, each with a table of that name in its file."""

@@ -1,0 +1,1 @@
+"""Stage: the hand and objects as rigid bodies with contacts, simulated by MuJoCo."""
