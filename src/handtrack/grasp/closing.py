@@ -164,7 +164,7 @@ class ClosingSynthesizer:
                 if grasp.firm and grasp.depth <= self.config.most_depth:
                     return grasp
             assert best is not None
-            if best.forces.feasible:
+            if best.forces.feasible and best.depth <= self.config.most_depth:
                 break
         assert best is not None
         return best
