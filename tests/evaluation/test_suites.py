@@ -29,6 +29,7 @@ from handtrack.evaluation.suites.suite import (
     load_cases,
     run_suite,
 )
+from handtrack.grasp.controller import VARIANTS
 from handtrack.hand.kinematics import keypoints, skin, skin_normals
 from handtrack.hand.shape import HandShape
 from handtrack.hand.skeleton import TIP_KEYPOINTS
@@ -49,11 +50,13 @@ def check_document(result: SuiteResult) -> dict[str, dict[str, Any]]:
 @pytest.mark.parametrize("name", SUITES)
 def test_the_data_of_every_suite_names_what_there_is(name: str) -> None:
     data = load_cases(name)
-    assert data["trackers"] and set(data["trackers"]) <= set(TRACKERS)
+    # What the suite grasp compares are controllers.
+    known = VARIANTS if name == "grasp" else TRACKERS
+    assert data["trackers"] and set(data["trackers"]) <= set(known)
     for target in data.get("targets", ()):
         assert {"case", "value"} < set(target) and ("at_most" in target) != ("at_least" in target)
         # The suite shape measures ways to find a shape beside the trackers.
-        assert target.get("tracker", data["trackers"][0]) in {*TRACKERS, "fit_shape", "adapted"}
+        assert target.get("tracker", data["trackers"][0]) in {*known, "fit_shape", "adapted"}
     # What --quick replaces must be entries that the suite reads.
     optional = {"frames"}
     assert set(data.get("quick", {})) <= set(data) | optional

@@ -433,9 +433,11 @@ class TrackerHybrid:
         self.forget()
         if self._batch is None:
             self._batch = self._scene_search(BATCH)
+        # Shapes are fitted to what is found here, where all restarts near a pose pay more.
         results = search_until(
             self._batch, depths, self._batch.regions(depths), self._hand, self._costs, self._rng,
             odds=self._odds, convinced=self._trust.convinced, attempts=self.config.attempts,
+            turned=0.0,
         )  # fmt: skip
         return [
             self._estimate(found, self._trust.believes_alone(odds), {}) for found, odds in results

@@ -237,6 +237,7 @@ def search_until(
     odds: Callable[[NDArray[np.float32], Found], float],
     convinced: Callable[[float], bool],
     attempts: int,
+    turned: float | None = None,
 ) -> list[tuple[Found | None, float]]:
     """Search frames again, with new restarts and every other time elsewhere, until one convinces.
 
@@ -250,6 +251,7 @@ def search_until(
         odds: Log-odds that a pose is a hand in an image.
         convinced: Whether log-odds are good enough to stop.
         attempts: Searches of a frame, at most.
+        turned: As for `SceneSearch.run`.
 
     Returns:
         The likeliest pose of each frame and its log-odds; None where nothing has the size of a
@@ -266,7 +268,8 @@ def search_until(
             if attempt % 2:
                 places = [_elsewhere(regions[k], best[k][0], hand) for k in chosen]
             places += [[]] * (scene.frames - len(chosen))
-            for k, found in zip(chosen, scene.run(part, places, cost, rng), strict=False):
+            results = scene.run(part, places, cost, rng, turned=turned)
+            for k, found in zip(chosen, results, strict=False):
                 assert found is not None
                 likely = odds(depths[k], found)
                 if best[k][0] is None or likely > best[k][1]:
