@@ -18,6 +18,7 @@ SIZE = (1600, 600)
 
 
 def main() -> None:
+    """Hold one grasp of each object, draw them all."""
     bench = GraspBench(SuiteSettings(), load_cases("grasp"))
     pictures = []
     for name in OBJECTS:
