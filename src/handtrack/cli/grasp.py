@@ -88,6 +88,7 @@ def run(options: GraspOptions) -> int:
     from handtrack.cli import compute_device
     from handtrack.errors import InputError
     from handtrack.grasp.synthesis import GraspSynthesizer, SynthesisConfig
+    from handtrack.grasp.taxonomy import grip_mode
     from handtrack.objects.distance_field import DistanceField
 
     if options.list:
@@ -98,6 +99,8 @@ def run(options: GraspOptions) -> int:
     for path in (options.plan, options.json, options.video):
         if path is not None and not path.resolve().parent.is_dir():
             raise InputError(f"{path.resolve().parent} is no folder: create it first")
+    if options.grip != "auto":
+        grip_mode(options.grip)  # before anything is loaded
     way = _way(options.to)
     thing, hand = _object(options), _hand(options)
     device = compute_device(options.device).alias
