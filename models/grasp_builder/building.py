@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from grasp_builder.fitting import TABLE_CLEARANCE, GraspFit
 from grasp_builder.moving import (
-    carried,
     closing_motion,
     draw_timing,
     reaching_motion,
@@ -21,6 +20,7 @@ from grasp_builder.placing import MANNERS, Placing, draw_placing
 from handtrack.grasp.feasibility import feasible
 from handtrack.grasp.recording import FRAME_RATE, GraspRecording, grasp_yaw, turned_poses
 from handtrack.grasp.taxonomy import grip_mode, grip_pads
+from handtrack.grasp.trajectory import carried
 from handtrack.hand.kinematics import skin
 from handtrack.hand.model import ShapedHand
 from handtrack.objects.distance_field import DistanceField
@@ -107,7 +107,7 @@ class Builder:
         half = 0.5 * placing.yaw
         rest = np.array([0.0, 0.0, 0.0, np.cos(half), 0.0, 0.0, np.sin(half)])
         path = transport(rest, timing, rng, lands=releases)
-        manipulation = carried(grasp, rest, path)
+        manipulation = carried(grasp, path)
         parts = [reaching[:-1], closing, manipulation[1:]]
         things = [np.repeat(rest[None], len(reaching) - 1 + len(closing), axis=0), path[1:]]
         names = ["reaching", "closing", "manipulation"]

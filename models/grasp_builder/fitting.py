@@ -87,11 +87,7 @@ class GraspFit:
         self._contacts = BonePoints(bones=pads.bones, offsets=pads.points)
         self._ahead = BonePoints(bones=pads.bones, offsets=pads.points + pads.normals)
         self._skin = np.union1d(_spread(hand, 500), _fingertips(hand))
-        slot = hand.weights[self._skin].argmax(1)
-        self._moved = BonePoints(
-            bones=hand.weight_bones[self._skin, slot].astype(np.int64),
-            offsets=hand.local_vertices[self._skin, slot],
-        )
+        self._moved = BonePoints.of_skin(hand, self._skin)
         self._fingers = np.array(
             [k for k, pad in enumerate(mode.pads) if k > 0 and pad.bone != "palm"]
         )

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from grasp_builder.placing import Placing
 from handtrack.grasp.recording import FRAME_RATE
+from handtrack.grasp.reference import sampled_poses
 from handtrack.grasp.taxonomy import GripMode
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import ANGLES, FINGERS
-from handtrack.transforms import matrix_to_quat, quat_to_matrix, rotvec_to_matrix
+from handtrack.synthesis.motion import minimum_jerk
+from handtrack.transforms import matrix_to_quat, moved_poses, quat_to_matrix, rotvec_to_matrix
 
 Float = NDArray[np.float64]
 
@@ -52,12 +53,6 @@ def draw_timing(rng: np.random.Generator, *, releases: bool) -> Timing:
         manipulation=rng.uniform(0.9, 1.4), releasing=0.5 if releases else 0.0,
         delays=rng.uniform(0.0, 0.15, 5),
     )  # fmt: skip
-
-
-def minimum_jerk(share: Float) -> Float:
-    """Share of the way after a share of the time, with no speed or acceleration at both ends."""
-    t = np.clip(share, 0.0, 1.0)
-    return t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
 
 
 def _shares(duration: float) -> Float:
@@ -147,21 +142,6 @@ def transport(first: Float, timing: Timing, rng: np.random.Generator, *, lands: 
     return path
 
 
-def carried(grasp: Float, first: Float, path: Float) -> Float:
-    """Hand poses that stay with an object, shape (nframe, 28).
-
-    Args:
-        grasp: Hand at the object's first pose, shape (28,).
-        first: That pose of the object, shape (7,).
-        path: Poses of the object, shape (nframe, 7).
-    """
-    turns = quat_to_matrix(path[:, 3:7]) @ quat_to_matrix(first[3:7]).T
-    poses = np.repeat(grasp[None], len(path), axis=0)
-    poses[:, :3] = path[:, :3] + turns @ (grasp[:3] - first[:3])
-    poses[:, 3:7] = matrix_to_quat(turns @ quat_to_matrix(grasp[3:7]))
-    return poses
-
-
 def releasing_motion(closing: Float, held: Float, timing: Timing) -> Float:
     """The closing motion backwards where the object was put down, shape (nframe, 28).
 
@@ -171,13 +151,8 @@ def releasing_motion(closing: Float, held: Float, timing: Timing) -> Float:
         timing: Durations.
     """
     back = closing[::-1]
-    at = np.linspace(0.0, len(back) - 1.0, len(_shares(timing.releasing)))
-    low = np.minimum(at.astype(int), len(back) - 2)
-    share = (at - low)[:, None]
-    opened = (1.0 - share) * back[low] + share * back[low + 1]
-    turns = Slerp(np.arange(len(back)), Rotation.from_quat(back[:, 3:7], scalar_first=True))(at)
+    frames = np.arange(len(back), dtype=np.float64)
+    at = np.linspace(0.0, frames[-1], len(_shares(timing.releasing)))
+    opened = sampled_poses(frames, back, at)
     swing = quat_to_matrix(held[3:7]) @ quat_to_matrix(back[0, 3:7]).T
-    out = opened.copy()
-    out[:, :3] = held[:3] + (opened[:, :3] - back[0, :3]) @ swing.T
-    out[:, 3:7] = matrix_to_quat(swing @ turns.as_matrix())
-    return out
+    return moved_poses(opened, swing, held[:3] - swing @ back[0, :3])

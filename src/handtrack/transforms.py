@@ -67,6 +67,24 @@ def apply_increment(pose: ArrayLike, increment: ArrayLike) -> Float:
     )
 
 
+def moved_poses(poses: ArrayLike, rotation: ArrayLike, translation: ArrayLike = 0.0) -> Float:
+    """Poses moved as one body: places are turned and shifted, orientations turned.
+
+    Args:
+        poses: Place [m], quaternion, and what stays, such as joint angles, shape (..., 7 or more).
+        rotation: Rotation, shape (..., 3, 3).
+        translation: Shift after the rotation [m], shape (..., 3).
+
+    Returns:
+        Poses, shape (..., n), with unit quaternions.
+    """
+    poses, turn = np.asarray(poses, np.float64), np.asarray(rotation, np.float64)
+    place = (turn @ poses[..., :3, None])[..., 0] + np.asarray(translation, np.float64)
+    quat = matrix_to_quat(turn @ quat_to_matrix(poses[..., 3:7]))
+    rest = np.broadcast_to(poses[..., 7:], (*quat.shape[:-1], poses.shape[-1] - 7))
+    return np.concatenate([place, quat, rest], axis=-1)
+
+
 def pose_difference(pose: ArrayLike, reference: ArrayLike) -> Float:
     """Increment from `reference` to `pose`, shape (..., 27): the inverse of `apply_increment`."""
     a, b = np.asarray(pose, np.float64), np.asarray(reference, np.float64)

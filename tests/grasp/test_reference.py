@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from handtrack.errors import InputError
-from handtrack.grasp.reference import PHASES, Reference, Stage, reference
+from handtrack.grasp.phases import PHASES
+from handtrack.grasp.reference import Reference, Stage, reference
 from handtrack.transforms import apply_increment, matrix_to_quat, rotvec_to_matrix
 
 

@@ -6,13 +6,8 @@ import numpy as np
 
 from handtrack.grasp.recording import GraspDatabase, GraspRecording, turned_poses
 from handtrack.grasp.taxonomy import grip_mode
+from handtrack.synthesis.motion import minimum_jerk as smooth
 from handtrack.transforms import matrix_to_quat, quat_to_matrix, rotvec_to_matrix
-
-
-def smooth(share: np.ndarray) -> np.ndarray:
-    """Minimum jerk from 0 to 1."""
-    t = share.clip(0.0, 1.0)
-    return t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
 
 
 def make_recording(

@@ -239,16 +239,16 @@ def _write_video(
     device: str,
 ) -> None:  # fmt: skip
     """A video of the simulation, or of the plan."""
+    import numpy as np
+
     from handtrack.viewer.grasp_view import GraspPainter
     from handtrack.viewer.video import VideoWriter
 
     source = plan if run is None else run
     painter = GraspPainter(hand, [thing], device=device)
     rate = 30.0
+    times = np.arange(source.times[0], source.times[-1], 1.0 / rate)
+    frames = np.searchsorted(source.times, times).clip(0, len(source.times) - 1)
     with VideoWriter(path, frames_per_second=rate) as video:
-        import numpy as np
-
-        times = np.arange(source.times[0], source.times[-1], 1.0 / rate)
-        frames = np.searchsorted(source.times, times).clip(0, len(source.times) - 1)
         for k in frames.tolist():
             video.write(painter.paint(source.hand_poses[k], [source.object_poses[k]]))

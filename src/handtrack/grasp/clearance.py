@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from handtrack.errors import InputError
 from handtrack.grasp.skin_points import SkinPoints
-from handtrack.hand.kinematics import bone_frames, keypoints, palm_centre
+from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.hand.model import ShapedHand
 from handtrack.objects.distance_field import DistanceField
+from handtrack.synthesis.motion import minimum_jerk
 from handtrack.transforms import quat_to_matrix
 
 Float = NDArray[np.float64]
@@ -50,9 +51,7 @@ class Surroundings:
 
     def room(self, poses: ArrayLike) -> Float:
         """Least distance of the skin from object and table [m], shape (n,), of poses (n, 28)."""
-        rotations, origins = bone_frames(self._hand, poses)
-        turned = rotations[:, self._skin.bones] @ self._skin.offsets[..., None]
-        points = origins[:, self._skin.bones] + turned[..., 0]
+        points = self._skin.place(self._hand, poses)
         local = (points - self._place[:3]) @ quat_to_matrix(self._place[3:])
         return np.minimum(self._field.distance(local), points[..., 2]).min(1)
 
@@ -77,7 +76,7 @@ def cleared(poses: ArrayLike, around: Surroundings) -> Float:
     """
     way = np.asarray(poses, np.float64)
     share = np.linspace(0.0, 1.0, len(way))
-    shape = _smooth(share / RAMP) * _smooth((1.0 - share) / RAMP)
+    shape = minimum_jerk(share / RAMP) * minimum_jerk((1.0 - share) / RAMP)
     back, up = around.away(way[-1]), np.array([0.0, 0.0, 1.0])
     wanted = np.minimum(MARGIN, around.room(way[[0, -1]]).min())
     best, most = way, -np.inf
@@ -94,9 +93,3 @@ def cleared(poses: ArrayLike, around: Surroundings) -> Float:
             if bend == 0.0:
                 break
     return best
-
-
-def _smooth(share: Float) -> Float:
-    """Minimum jerk from 0 to 1."""
-    t = share.clip(0.0, 1.0)
-    return t**3 * (10.0 - 15.0 * t + 6.0 * t**2)

@@ -28,7 +28,6 @@ from handtrack.grasp.swarm import (
     search,
 )
 from handtrack.grasp.taxonomy import GripPads, grip_pads
-from handtrack.hand.kinematics import skin
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NV
 from handtrack.objects.distance_field import DistanceField
@@ -270,20 +269,14 @@ class ClosingSynthesizer:
             for motion, pose in zip(motions, pulled.poses, strict=True)
         ]
         scores = self._objective(np.stack(blended), grips, density)
-        # The pull takes skin for rigid; near bent joints it is millimetres from where it blends to.
-        points = skin(self.hand, pulled.poses)
-        clear = np.minimum(
-            self.distances.distance(points), points @ self._table[:3] - self._table[3]
-        )
-        depths = np.maximum(-clear.min(1), 0.0)
-        deep = depths > config.most_depth
+        deep = pulled.depths > config.most_depth
         for k in np.lexsort([self._fair(scores.total, grips), deep]).tolist():
             grip, model = int(grips[k]), self.models[grips[k]]
             weights = positions[k, : model.nweight]
             _, motion = model.motion(weights[: model.nshape], weights[model.nshape :])
             placed = place_motions(motion[None], positions[k : k + 1, self._width :], self._turn)
             motion = blend_correction(placed[0], pulled.poses[k])
-            yield self._grasp(k, grip, motion, scores, float(depths[k]))
+            yield self._grasp(k, grip, motion, scores, float(pulled.depths[k]))
 
     def _grasp(
         self, k: int, grip: int, motion: Float, scores: Scores, depth: float

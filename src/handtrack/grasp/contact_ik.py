@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handtrack.errors import InputError
-from handtrack.grasp.taxonomy import GripPads
+from handtrack.grasp.taxonomy import DIP_SHARE, GripPads
 from handtrack.hand.inverse_kinematics import BonePoints, jacobian_of_frames
-from handtrack.hand.kinematics import bone_frames
+from handtrack.hand.kinematics import bone_frames, skin
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import ANGLES, FINGERS, NBONE, NV
 from handtrack.objects.distance_field import DistanceField
@@ -29,9 +29,6 @@ COUPLED = np.array([
     for finger in FINGERS[1:]
 ])  # fmt: skip
 """Increments of the joints that one tendon bends together, shape (4, 2)."""
-
-COUPLING = 2.0 / 3.0
-"""Bend of the end joint by that of the middle joint."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,15 +212,15 @@ class _Task:
             placed[:, own] = turned + origins[:, bone, None]
         return placed
 
-    def _clear(self, skin: Float) -> Float:
+    def _clear(self, points: Float) -> Float:
         """Room of skin from object and table [m], shape (n, nskin)."""
-        return np.minimum(self.field.distance(skin), skin @ self.up - self.height)
+        return np.minimum(self.field.distance(points), points @ self.up - self.height)
 
     def _watch(self, poses: Float) -> None:
         """Choose the skin that is looked at in the next steps."""
-        skin = self._skin(*bone_frames(self.hand, poses))
-        most = min(self.config.nearest, skin.shape[1])
-        chosen = np.argpartition(self._clear(skin), most - 1, axis=1)[:, :most]
+        placed = self._skin(*bone_frames(self.hand, poses))
+        most = min(self.config.nearest, placed.shape[1])
+        chosen = np.argpartition(self._clear(placed), most - 1, axis=1)[:, :most]
         self.watched_bones = self.skin.bones[chosen]
         self.watched = self.skin.offsets[chosen]
         self.allowed = np.take_along_axis(self.allowances, chosen, axis=1)
@@ -233,23 +230,23 @@ class _Task:
         config, count = self.config, len(poses)
         rotations, origins = bone_frames(self.hand, poses)
         contacts = _on_bones(rotations, origins, self.bones, self.points)
-        skin = _on_bones(rotations, origins, self.watched_bones, self.watched)
+        placed = _on_bones(rotations, origins, self.watched_bones, self.watched)
         each = np.arange(count)[:, None]
-        over = np.minimum(self.field.distance(skin) + self.allowed, 0.0)
-        sunk = np.minimum(skin @ self.up - self.height - config.table_clearance, 0.0)
-        most = min(config.deepest, skin.shape[1])
+        over = np.minimum(self.field.distance(placed) + self.allowed, 0.0)
+        sunk = np.minimum(placed @ self.up - self.height - config.table_clearance, 0.0)
+        most = min(config.deepest, placed.shape[1])
         inside = np.argpartition(over, most - 1, axis=1)[:, :most]
         under = np.argpartition(sunk, most - 1, axis=1)[:, :most]
         pushed = np.concatenate([inside, under], axis=1)
         # A press direction turns like a point one metre out minus the bone's origin.
         press = (rotations[each, self.bones] @ self.presses[..., None])[..., 0]
-        points = np.concatenate([contacts, contacts + press, skin[each, pushed]], axis=1)
+        points = np.concatenate([contacts, contacts + press, placed[each, pushed]], axis=1)
         bones = np.concatenate(
             [self.bones, self.bones, np.take_along_axis(self.watched_bones, pushed, axis=1)], axis=1
         )
         jacobian = jacobian_of_frames(self.hand, poses, rotations, origins, bones, points)
         size = contacts.shape[1]
-        normals = self.field.normal(np.concatenate([contacts, skin[each, inside]], axis=1))
+        normals = self.field.normal(np.concatenate([contacts, placed[each, inside]], axis=1))
         touch, push = normals[:, :size], normals[:, size:]
         known = self.there[..., None]
         sink = jacobian[:, 2 * size + most :]
@@ -285,7 +282,8 @@ class _Task:
         return Pulled(
             poses=poses,
             gaps=np.where(self.there, gaps, np.nan),
-            depths=np.maximum(-self._clear(self._skin(rotations, origins)).min(1), 0.0),
+            # Here skin bends: near bent joints it is millimetres from where rigid skin would be.
+            depths=np.maximum(-self._clear(skin(self.hand, poses)).min(1), 0.0),
             surface=contacts - gaps[..., None] * normals,
             normals=normals,
         )
@@ -293,11 +291,9 @@ class _Task:
 
 def _whole_skin(hand: ShapedHand) -> BonePoints:
     """All vertices, each on the bone that moves it most, sorted by bone."""
-    slots = hand.weights.argmax(1)
-    each = np.arange(hand.nvert)
-    bones = hand.weight_bones[each, slots].astype(np.int64)
-    order = np.argsort(bones, kind="stable")
-    return BonePoints(bones=bones[order], offsets=hand.local_vertices[each, slots][order])
+    whole = BonePoints.of_skin(hand, np.arange(hand.nvert))
+    order = np.argsort(whole.bones, kind="stable")
+    return BonePoints(bones=whole.bones[order], offsets=whole.offsets[order])
 
 
 def _on_bones(rotations: Float, origins: Float, bones: NDArray[np.int64], points: Float) -> Float:
@@ -310,5 +306,5 @@ def _coupling_rows() -> Float:
     """Derivative of how far end joints are from two thirds of the middle joints, shape (4, 27)."""
     rows = np.zeros((len(COUPLED), NV))
     each = np.arange(len(COUPLED))
-    rows[each, COUPLED[:, 0]], rows[each, COUPLED[:, 1]] = -COUPLING, 1.0
+    rows[each, COUPLED[:, 0]], rows[each, COUPLED[:, 1]] = -DIP_SHARE, 1.0
     return rows

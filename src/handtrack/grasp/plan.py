@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from handtrack.errors import DamagedFileError, InputError, MissingFileError
 from handtrack.files import UNREADABLE, whole_file
-from handtrack.grasp.reference import PHASES
+from handtrack.grasp.phases import phase_numbers
 from handtrack.hand.skeleton import NBONE
 
 Float = NDArray[np.float64]
@@ -31,7 +31,7 @@ class GraspPlan:
     object_poses: Float
     """Object in the world: centre of mass [m] and quaternion, shape (nframe, 7)."""
     phases: NDArray[np.str_]
-    """Phase of each frame, names of `PHASES` in their order, shape (nframe,)."""
+    """Phase of each frame, names of `phases.PHASES` in their order, shape (nframe,)."""
     contact_bones: NDArray[np.int64]
     """Bone of each contact, shape (ncontact,)."""
     contact_local: Float
@@ -63,13 +63,7 @@ class GraspPlan:
                 raise InputError(f"GraspPlan.{name} has shape {given}; expected {shape}")
         if count < 2 or not (np.diff(self.times) > 0).all():
             raise InputError("a plan needs at least two frames, and their times must rise")
-        unknown = sorted(set(self.phases.tolist()) - set(PHASES))
-        if unknown:
-            raise InputError(
-                f"phase {unknown[0]!r} is unknown; expected one of {', '.join(PHASES)}"
-            )
-        if (np.diff([PHASES.index(name) for name in self.phases.tolist()]) < 0).any():
-            raise InputError(f"phases are out of order; expected {' then '.join(PHASES)}")
+        phase_numbers(self.phases, of="the plan")
         if touching and not 0 <= self.contact_bones.min() <= self.contact_bones.max() < NBONE:
             raise InputError(f"a contact is on a bone that does not exist; there are {NBONE}")
         if not np.isfinite(self.hand_poses).all() or not np.isfinite(self.object_poses).all():

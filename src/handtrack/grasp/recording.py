@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from handtrack.artifacts import artifact_path
 from handtrack.errors import DamagedFileError, InputError, MissingFileError
 from handtrack.files import UNREADABLE, whole_file
-from handtrack.grasp.reference import PHASES
+from handtrack.grasp.phases import PHASES, phase_numbers
+from handtrack.grasp.reference import sampled_poses
 from handtrack.grasp.taxonomy import GRIP_MODES
 from handtrack.hand.skeleton import NBONE
-from handtrack.transforms import matrix_to_quat, quat_to_matrix, rotvec_to_matrix
+from handtrack.transforms import moved_poses, rotvec_to_matrix
 
 Float = NDArray[np.float64]
 
@@ -80,13 +81,8 @@ class GraspRecording:
             raise InputError(f"no grip mode {self.grip!r}; there are {', '.join(GRIP_MODES)}")
         if not (np.isfinite(self.frame_rate) and self.frame_rate > 0):
             raise InputError(f"{self.label}: frame_rate is {self.frame_rate}; expected more than 0")
-        names = self.phases.tolist()
-        unknown = sorted(set(names) - set(PHASES))
-        if unknown:
-            raise InputError(f"{self.label}: phase {unknown[0]!r}; expected {', '.join(PHASES)}")
-        if (np.diff([PHASES.index(name) for name in names]) < 0).any():
-            raise InputError(f"{self.label}: phases are out of order; they are {', '.join(PHASES)}")
-        if names.count("closing") < 2:
+        phase_numbers(self.phases, of=self.label)
+        if len(self.of_phase("closing")) < 2:
             raise InputError(f"{self.label}: the closing phase has fewer than two frames")
         if touching and not 0 <= self.contact_bones.min() <= self.contact_bones.max() < NBONE:
             raise InputError(f"{self.label}: a contact is on a bone that does not exist")
@@ -121,15 +117,8 @@ class GraspRecording:
         if self.frame_rate == FRAME_RATE:
             return motion
         count = max(round((len(motion) - 1) / self.frame_rate * FRAME_RATE) + 1, 2)
-        at = np.linspace(0.0, len(motion) - 1.0, count)
-        low = np.minimum(at.astype(int), len(motion) - 2)
-        share = (at - low)[:, None]
-        ends = motion[low + 1].copy()
-        # A quaternion and its negative are the same turn: take the nearer one.
-        ends[:, 3:7] *= np.sign((ends[:, 3:7] * motion[low, 3:7]).sum(1) + 1e-12)[:, None]
-        mixed = (1.0 - share) * motion[low] + share * ends
-        mixed[:, 3:7] /= np.linalg.norm(mixed[:, 3:7], axis=1, keepdims=True)
-        return mixed
+        frames = np.arange(len(motion), dtype=np.float64)
+        return sampled_poses(frames, motion, np.linspace(0.0, frames[-1], count))
 
 
 def grasp_yaw(pose: ArrayLike, centre: ArrayLike) -> float:
@@ -154,11 +143,7 @@ def turned_poses(poses: ArrayLike, yaw: float, shift: ArrayLike = (0.0, 0.0, 0.0
         yaw: Angle about z [rad].
         shift: Way to go afterwards [m], shape (3,).
     """
-    out = np.array(poses, np.float64)
-    turn = rotvec_to_matrix(np.array([0.0, 0.0, yaw]))
-    out[..., :3] = out[..., :3] @ turn.T + np.asarray(shift, np.float64)
-    out[..., 3:7] = matrix_to_quat(turn @ quat_to_matrix(out[..., 3:7]))
-    return out
+    return moved_poses(poses, rotvec_to_matrix(np.array([0.0, 0.0, yaw])), shift)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +183,7 @@ class GraspDatabase:
         """Write to .npz: whole numbers, each frame as the difference from the one before."""
         frames = [len(r.hand_poses) for r in self]
         contacts = [len(r.contact_bones) for r in self]
-        phases = np.concatenate([[PHASES.index(p) for p in r.phases.tolist()] for r in self])
+        phases = np.concatenate([phase_numbers(r.phases, of=r.label) for r in self])
         entries: dict[str, Any] = {
             name: np.concatenate([getattr(r, name) for r in self]).astype(np.float32)
             for name in ("contact_local", "contact_points", "contact_normals")

@@ -15,12 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from handtrack.errors import InputError
+from handtrack.grasp.phases import phase_numbers
 from handtrack.hand.skeleton import NV
 
 Float = NDArray[np.float64]
-
-PHASES: tuple[str, ...] = ("reaching", "closing", "manipulation", "releasing")
-"""Phases of a grasp in their order (thesis III.3.2)."""
 
 
 class Stage(IntEnum):
@@ -94,15 +92,10 @@ def reference(
         )
     if count < 2 or not (np.diff(times) > 0.0).all():
         raise InputError("a plan needs at least two frames, and their times must rise")
-    unknown = set(names.tolist()) - set(PHASES)
-    if unknown:
-        raise InputError(f"phase {min(unknown)!r} is unknown; expected one of {', '.join(PHASES)}")
-    order = np.array([PHASES.index(name) for name in names.tolist()])
-    if (np.diff(order) < 0).any():
-        raise InputError(f"phases are out of order; expected {' then '.join(PHASES)}")
+    order = phase_numbers(names, of="the plan")
     clock, stages = _clock(times, order, timestep, take_time, hold_time)
-    hand = _sampled(times, hands, clock)
-    thing = _sampled(times, things, clock)
+    hand = sampled_poses(times, hands, clock)
+    thing = sampled_poses(times, things, clock)
     return Reference(
         times=np.arange(len(clock), dtype=np.float64) * timestep,
         hand_poses=hand,
@@ -132,8 +125,17 @@ def _clock(
     return clock, np.repeat([int(stage) for stage, _ in parts], [len(part) for _, part in parts])
 
 
-def _sampled(times: Float, poses: Float, clock: Float) -> Float:
-    """Poses (translation, quaternion, more) at other times; rotations turn evenly."""
+def sampled_poses(times: Float, poses: Float, clock: Float) -> Float:
+    """Poses between frames, linearly; rotations turn evenly.
+
+    Args:
+        times: Times of the frames, rising, shape (nframe,).
+        poses: Place, quaternion and perhaps angles, shape (nframe, 7 or more).
+        clock: Times that are wanted, shape (n,); those outside count as the first or last.
+
+    Returns:
+        Poses, shape (n, 7 or more).
+    """
     clock = clock.clip(times[0], times[-1])
     out = np.empty((len(clock), poses.shape[1]))
     for column in (*range(3), *range(7, poses.shape[1])):

@@ -36,13 +36,10 @@ class SkinPoints:
     @classmethod
     def of(cls, hand: ShapedHand, count: int) -> SkinPoints:
         """Spread so many points, each moved by the bone that moves the skin there most."""
-        chosen = spread_points(hand, count)
-        slots = hand.weights[chosen].argmax(1)
-        bones = hand.weight_bones[chosen, slots]
-        places = hand.local_vertices[chosen, slots]
+        spread = BonePoints.of_skin(hand, spread_points(hand, count))
         groups: list[tuple[int, Float]] = []
         for bone in range(NBONE):
-            own = places[bones == bone]
+            own = spread.offsets[spread.bones == bone]
             parts = min(PALM_GROUPS if bone == 0 else 1, len(own))
             # The points came far from each other first: the first ones are the parts' middles.
             label = np.linalg.norm(own[:, None] - own[None, :parts], axis=2).argmin(1)

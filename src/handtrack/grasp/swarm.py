@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.errors import InputError
-from handtrack.transforms import matrix_to_quat, rotvec_to_matrix
+from handtrack.transforms import matrix_to_quat, moved_poses, rotvec_to_matrix
 
 Float = NDArray[np.float64]
 
@@ -161,12 +161,8 @@ def place_motions(motions: Float, places: Float, R_object_up: Float) -> Float:
             tilts about its x and y.
         R_object_up: Rotation from the frame that is upright in the world to the object's, (3, 3).
     """
-    turn, tilt = _place_turns(places, R_object_up)
-    points = np.einsum("nij,ntj->nti", tilt, motions[..., :3]) + places[:, None, 1:4]
-    placed = motions.copy()
-    placed[..., :3] = np.einsum("nij,ntj->nti", turn, points)
-    placed[..., 3:7] = _quat_product(matrix_to_quat(turn @ tilt)[:, None], motions[..., 3:7])
-    return placed
+    turn, tilt = (part[:, None] for part in _place_turns(places, R_object_up))
+    return moved_poses(motions, turn @ tilt, (turn @ places[:, None, 1:4, None])[..., 0])
 
 
 def place_increments(bases: Float, increments: Float, places: Float, R_object_up: Float) -> Float:

@@ -32,7 +32,7 @@ from handtrack.hand.model import HandModel, ShapedHand
 from handtrack.hand.side import mirror_pose
 from handtrack.objects.distance_field import DistanceField
 from handtrack.objects.rigid_object import RigidObject
-from handtrack.transforms import matrix_to_quat, quat_to_matrix
+from handtrack.transforms import moved_poses, quat_to_matrix
 
 Float = NDArray[np.float64]
 
@@ -235,11 +235,8 @@ def in_world(poses: ArrayLike, place: ArrayLike) -> Float:
         poses: Hand in the object's frame, shape (n, 28).
         place: The object in the world, shape (7,).
     """
-    out, at = np.array(poses, np.float64), np.asarray(place, np.float64)
-    turn = quat_to_matrix(at[3:])
-    out[:, :3] = out[:, :3] @ turn.T + at[:3]
-    out[:, 3:7] = matrix_to_quat(turn @ quat_to_matrix(out[:, 3:7]))
-    return out
+    at = np.asarray(place, np.float64)
+    return moved_poses(poses, quat_to_matrix(at[3:]), at[:3])
 
 
 def _object_pose(

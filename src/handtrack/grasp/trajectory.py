@@ -20,6 +20,7 @@ from handtrack.transforms import (
     apply_increment,
     matrix_to_quat,
     matrix_to_rotvec,
+    moved_poses,
     pose_difference,
     quat_to_matrix,
     rotvec_to_matrix,
@@ -223,10 +224,7 @@ def carried(hand: ArrayLike, path: ArrayLike) -> Float:
     pose = _checked_pose(hand, NQ, "hand")
     objects = np.asarray(path, np.float64)
     turns = quat_to_matrix(objects[:, 3:]) @ quat_to_matrix(objects[0, 3:]).T
-    out = np.repeat(pose[None], len(objects), axis=0)
-    out[:, :3] = objects[:, :3] + turns @ (pose[:3] - objects[0, :3])
-    out[:, 3:7] = matrix_to_quat(turns @ quat_to_matrix(pose[3:7]))
-    return out
+    return moved_poses(pose, turns, objects[:, :3] - turns @ objects[0, :3])
 
 
 def release(database: GraspDatabase, grip: str, hand: ArrayLike, frame_rate: float) -> Float:
@@ -282,11 +280,7 @@ def _heading_as(poses: Float, frame: int, goal: Float) -> Float:
     turn = quat_to_matrix(goal[3:7]) @ np.swapaxes(quat_to_matrix(poses[..., frame, 3:7]), -1, -2)
     # The nearest turn about z to a turn, in the sense of least squares.
     yaw = np.arctan2(turn[..., 1, 0] - turn[..., 0, 1], turn[..., 0, 0] + turn[..., 1, 1])
-    about = _about_z(yaw)[..., None, :, :]
-    out = poses.copy()
-    out[..., :3] = (about @ poses[..., :3, None])[..., 0]
-    out[..., 3:7] = matrix_to_quat(about @ quat_to_matrix(poses[..., 3:7]))
-    return out
+    return moved_poses(poses, _about_z(yaw)[..., None, :, :])
 
 
 def _about_z(yaw: ArrayLike) -> Float:

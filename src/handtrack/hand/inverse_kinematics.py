@@ -42,6 +42,16 @@ class BonePoints:
         offsets[list(TIP_KEYPOINTS)] = hand.tip_offsets
         return cls(bones=KEYPOINT_BONES.copy(), offsets=offsets)
 
+    @classmethod
+    def of_skin(cls, hand: ShapedHand, chosen: ArrayLike) -> BonePoints:
+        """Vertices of the skin, numbers `chosen` (npoint,), on the bone that moves each most."""
+        chosen = np.asarray(chosen)
+        slots = hand.weights[chosen].argmax(1)
+        return cls(
+            bones=hand.weight_bones[chosen, slots].astype(np.int64),
+            offsets=hand.local_vertices[chosen, slots],
+        )
+
     def place(self, hand: ShapedHand, pose: ArrayLike) -> Float:
         """The points [m], camera frame, shape (..., npoint, 3), of poses, shape (..., 28)."""
         rotations, origins = bone_frames(hand, pose)

@@ -26,6 +26,12 @@ FOLDER = "data/motions"
 """Where the motions that come with handtrack lie."""
 
 
+def minimum_jerk(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Way gone after a share of the time, both 0 to 1, at rest at both ends (Flash and Hogan)."""
+    s = np.clip(share, 0.0, 1.0)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
     """Frames of one or several takes of a right hand."""

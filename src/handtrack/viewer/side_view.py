@@ -17,7 +17,7 @@ from handtrack.errors import InputError
 from handtrack.hand.kinematics import keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.synthesis.renderer import DepthRenderer
-from handtrack.transforms import matrix_to_quat, quat_to_matrix, rotvec_to_matrix
+from handtrack.transforms import moved_poses, rotvec_to_matrix
 from handtrack.viewer.depth_colours import EMPTY_COLOUR, Image
 from handtrack.viewer.pictures import (
     FINGER_COLOURS,
@@ -150,10 +150,7 @@ class SidePainter:
 
     def _seen_pose(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
         """A pose in the camera's frame as a pose in the eye's, shape (28,)."""
-        seen = pose.copy()
-        seen[:3] = self._seen(pose[None, :3])[0]
-        seen[3:7] = matrix_to_quat(self._R_eye_camera @ quat_to_matrix(pose[3:7]))
-        return seen
+        return moved_poses(pose, self._R_eye_camera, self._seen(np.zeros((1, 3)))[0])
 
     def _draw_points(
         self, picture: Image, surface: NDArray[np.float32], points: NDArray[np.float64]

@@ -12,7 +12,7 @@ from handtrack.errors import InputError
 from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import FINGERS
-from handtrack.synthesis.motion import Motion
+from handtrack.synthesis.motion import Motion, minimum_jerk
 from handtrack.synthesis.viewpoints import R_CAMERA_UPRIGHT
 from handtrack.transforms import matrix_to_quat, rotvec_to_matrix
 
@@ -57,12 +57,6 @@ def fist_motion(case: Mapping[str, Any], hand: ShapedHand) -> Motion:
         licence="Apache-2.0",
         frames_per_second=float(plan["frames_per_second"]),
     )
-
-
-def minimum_jerk(share: Float) -> Float:
-    """Way gone after a share of the time, both 0 to 1, at rest at both ends."""
-    s = np.clip(share, 0.0, 1.0)
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
 def _named(keys: Sequence[tuple[int, str]], postures: Mapping[str, Float], frames: int) -> Float:

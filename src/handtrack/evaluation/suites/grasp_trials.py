@@ -72,15 +72,14 @@ class GraspBench:
         self._trials: dict[tuple[str, int, Variant], Trial] = {}
         self._things: dict[str, tuple[RigidObject, DistanceField]] = {}
         self._grip = data["grip"]
-        self._planner = self.synthesizer(SynthesisConfig())
+        self._planner = GraspSynthesizer(self.hand, device=self._device)
         self.attempt(data["objects"][0], -1, grip=self._grip)
 
     def synthesizer(self, config: SynthesisConfig) -> GraspSynthesizer:
-        """A synthesizer of these settings; learns only the first time."""
-        known = getattr(self, "_planner", None)
+        """A synthesizer of these settings, which learns nothing anew."""
         return GraspSynthesizer(
-            self.hand, database=None if known is None else known.database,
-            model=None if known is None else known.model, config=config, device=self._device,
+            self.hand, database=self._planner.database, model=self._planner.model, config=config,
+            device=self._device,
         )  # fmt: skip
 
     def thing(self, name: str) -> RigidObject:

@@ -28,7 +28,7 @@ from handtrack.synthesis.renderer import DepthRenderer
 from handtrack.synthesis.scenery import DepthScene
 from handtrack.synthesis.sequence import worn_by
 from handtrack.synthesis.things import MeshRenderer, cup_mesh
-from handtrack.transforms import matrix_to_quat, quat_to_matrix
+from handtrack.transforms import moved_poses, quat_to_matrix
 
 Float = NDArray[np.float64]
 
@@ -170,9 +170,7 @@ def _moving_hand(
     if "shift" in plan:
         keys, shifts = zip(*plan["shift"], strict=True)
         shift = shift + keyframe_track(keys, shifts, count)
-    moved = poses.copy()
-    moved[:, :3] = (poses[:, :3] - middle) @ rotation.T + shift
-    moved[:, 3:7] = matrix_to_quat(rotation @ quat_to_matrix(poses[:, 3:7]))
+    moved = moved_poses(poses, rotation, shift - rotation @ middle)
     elbows = (elbows - middle) @ rotation.T + shift
     moved, elbows = moved[numbers], elbows[numbers]
     points = keypoints(hand, moved)
