@@ -17,6 +17,7 @@ from grasp_builder.moving import (
     transport,
 )
 from grasp_builder.placing import MANNERS, Placing, draw_placing
+from grasp_builder.proving import holds
 from handtrack.grasp.feasibility import feasible
 from handtrack.grasp.recording import FRAME_RATE, GraspRecording, grasp_yaw, turned_poses
 from handtrack.grasp.taxonomy import grip_mode, grip_pads
@@ -26,6 +27,7 @@ from handtrack.hand.model import ShapedHand
 from handtrack.objects.distance_field import DistanceField
 from handtrack.objects.library import load_object
 from handtrack.objects.rigid_object import RigidObject
+from handtrack.physics.bone_solids import BoneSolid, bone_solids
 from handtrack.transforms import quat_to_matrix
 
 Float = NDArray[np.float64]
@@ -68,10 +70,11 @@ class Builder:
 
     def __init__(
         self, hand: ShapedHand, grip: str, thing: RigidObject, distances: DistanceField,
-        config: BuildConfig, log: BuildLog,
+        solids: tuple[BoneSolid, ...], config: BuildConfig, log: BuildLog,
     ) -> None:  # fmt: skip
         """Prepare the fit."""
         self.hand, self.mode, self.thing = hand, grip_mode(grip), thing
+        self.distances, self.solids = distances, solids
         self.config, self.log = config, log
         self._fit = GraspFit(hand, self.mode, grip_pads(hand, grip), distances, -thing.rest_height)
 
@@ -119,14 +122,19 @@ class Builder:
         depth, reason = self._overlap(placing, poses, objects)
         if reason:
             return reason
-        self.log.depths.append(depth)
         yaw = -grasp_yaw(grasp, np.zeros(3))
-        return GraspRecording(
+        made = GraspRecording(
             grip=self.mode.name, object=self.thing.name, trial=trial, provenance="computed",
             frame_rate=FRAME_RATE, hand_poses=turned_poses(poses, yaw),
             object_poses=turned_poses(objects, yaw),
             phases=np.repeat(names, [len(part) for part in parts]), **contacts,
         )  # fmt: skip
+        if not holds(
+            made, self.thing, hand=self.hand, distances=self.distances, solids=self.solids
+        ):
+            return "it does not hold under physics"
+        self.log.depths.append(depth)
+        return made
 
     def _contacts(self, placing: Placing, grasp: Float) -> dict[str, NDArray] | str:
         """Contacts of a grasp, or why it will not do."""
@@ -173,8 +181,9 @@ def build_recordings(
     names = sorted({name for grip in grips for name in MANNERS[grip].objects})
     things = {name: load_object(name) for name in names}
     fields = {name: DistanceField.of(thing, device="cpu") for name, thing in things.items()}
+    solids = bone_solids(hand)
     for grip in grips:
         for name in MANNERS[grip].objects:
-            builder = Builder(hand, grip, things[name], fields[name], config, log)
+            builder = Builder(hand, grip, things[name], fields[name], solids, config, log)
             made += builder.recordings()
     return made

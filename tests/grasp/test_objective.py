@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import cache
 
 import numpy as np
 import pytest
 
 from handtrack.errors import InputError
+from handtrack.grasp.grip_device import GripDevice
+from handtrack.grasp.motion_model import GraspMotionModel
 from handtrack.grasp.objective import TERMS, GraspObjective, ObjectiveConfig, Wish
+from handtrack.grasp.swarm import SwarmConfig, draw_places, place_motions
 from handtrack.grasp.taxonomy import grip_mode, grip_pads
 from handtrack.hand.inverse_kinematics import BonePoints
 from handtrack.hand.kinematics import keypoints, skin
 from handtrack.objects.distance_field import DistanceField
 from handtrack.objects.library import load_object
+from handtrack.transforms import rotvec_to_matrix
 from oracles.scenes import shaped_hand
 
 GRIPS = ("palmar_pinch", "prismatic_4_finger")
@@ -34,12 +39,14 @@ def closed_hand(grip: str, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) 
     return np.tile(pose, (3, 1))
 
 
+@cache
+def on_device(device: str) -> GripDevice:
+    model = GraspMotionModel.load()
+    return GripDevice(shaped_hand(), [model[grip] for grip in GRIPS], device=device)
+
+
 def make(field: DistanceField, device: str = "cpu", **options) -> GraspObjective:
-    hand = shaped_hand()
-    return GraspObjective(
-        hand, [grip_pads(hand, grip) for grip in GRIPS], field, friction=0.8, device=device,
-        **options,
-    )  # fmt: skip
+    return GraspObjective(on_device(device), field, friction=0.8, **options)
 
 
 def test_contact_is_the_sum_of_distances_in_millimetres(field: DistanceField, device: str) -> None:
@@ -89,9 +96,14 @@ def test_quality_prefers_opposite_sides_and_the_middle(field: DistanceField) -> 
     scores = make(field, config=centred)(np.stack([middle, above]), [0, 0])
     assert scores.terms["quality"][0] < scores.terms["quality"][1]
     # Both pads over one side of the cube press past each other: 90 degrees each beyond the cones.
-    angles = make(field, config=ObjectiveConfig(centroid=0.0))(above[None], [0])
+    angles = make(field, config=ObjectiveConfig(centroid=0.0, balance=0.0))(above[None], [0])
     cone = np.arctan(ObjectiveConfig().cone_share * 0.8)
     assert angles.terms["quality"][0] == pytest.approx(2 * 4 * 2 * (np.pi / 2 - cone), rel=0.1)
+    # There nothing cancels; in the middle both pads press against each other.
+    balance = make(field, config=ObjectiveConfig(centroid=0.0, cone=0.0))
+    found = balance(np.stack([middle, above]), [0, 0]).terms["quality"]
+    assert found[1] == pytest.approx(2 * 8, rel=0.1)
+    assert found[0] < 0.5 * found[1]
 
 
 def test_prior_and_control_are_weighed(field: DistanceField) -> None:
@@ -131,9 +143,86 @@ def test_a_motion_scores_the_same_in_any_batch(field: DistanceField) -> None:
         assert objective(motions[k : k + 1], [k % 2]).total[0] == pytest.approx(together[k])
 
 
-def test_unusable_settings_are_refused(field: DistanceField) -> None:
+def drawn(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates drawn from the models, and their grip modes."""
+    grips = on_device("cpu")
+    width = grips.motions.nweight
+    numbers, positions = np.arange(count) % len(GRIPS), np.zeros((count, width + 6))
+    for k, number in enumerate(numbers):
+        model = grips.models[number]
+        positions[k, : model.nweight] = model.sample(rng, 1)[0]
+    positions[:, width:] = draw_places(count, None, config=SwarmConfig(), rng=rng)
+    return positions, numbers
+
+
+def told(
+    positions: np.ndarray, numbers: np.ndarray, upright: np.ndarray, nframe: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same motions and their log densities, made on the host."""
+    grips = on_device("cpu")
+    width = grips.motions.nweight
+    motions, density = np.zeros((len(positions), nframe, 28)), np.zeros(len(positions))
+    for k, number in enumerate(numbers):
+        model = grips.models[number]
+        weights = positions[k : k + 1, : model.nweight]
+        motions[k], density[k] = model.motions(weights, nframe)[0], model.log_density(weights)[0]
+    places = positions[:, width:]
+    return place_motions(motions, places, upright), density + SwarmConfig().log_prior(places)
+
+
+@pytest.mark.parametrize("nframe", [2, 3, 8])
+@pytest.mark.parametrize("wished", [False, True])
+def test_coordinates_cost_what_their_motions_cost(
+    field: DistanceField, device: str, rng: np.random.Generator, nframe: int, wished: bool
+) -> None:
+    positions, numbers = drawn(30, rng)
+    upright = rotvec_to_matrix(np.array([0.4, -0.2, 0.6]))
+    wish = Wish(hand_pose=closed_hand(GRIPS[0])[-1]) if wished else None
+    objective = make(field, device, wish=wish, table=(0.0, 0.6, 0.8, -0.15))
+    motions, density = told(positions, numbers, upright, nframe)
+    scores = objective(motions, numbers, density)
+    assert (scores.terms["collision"] > 0).any()
+    assert (scores.terms["collision"] == 0).any()
+    options = {"nframe": nframe, "R_object_up": upright, "swarm": SwarmConfig()}
+    with objective.costs([numbers], **options) as (cost,):
+        found = cost(positions, np.full(30, np.inf))
+    # Skin that just touches may be a collision in one and none in the other.
+    off = np.abs(found - scores.total)
+    assert (off < 2e-3 * scores.total + 2e-3).mean() > 0.9
+
+
+def test_costs_that_are_no_lower_than_their_bounds_come_out_as_infinite(
+    field: DistanceField, device: str, rng: np.random.Generator
+) -> None:
+    positions, numbers = drawn(30, rng)
+    options = {"nframe": 8, "R_object_up": np.eye(3), "swarm": SwarmConfig()}
+    with make(field, device).costs([numbers], **options) as (cost,):
+        found = cost(positions, np.full(30, np.inf))
+        missed = rng.random(30) < 0.5
+        bounded = cost(positions, np.where(missed, found - 0.01, found + 0.01))
+    np.testing.assert_array_equal(bounded, np.where(missed, np.inf, found))
+
+
+def test_parts_cost_what_the_whole_costs_and_give_their_arrays_back(
+    field: DistanceField, device: str, rng: np.random.Generator
+) -> None:
+    positions, numbers = drawn(20, rng)
+    objective, none = make(field, device), np.full(20, np.inf)
+    options = {"nframe": 4, "R_object_up": np.eye(3), "swarm": SwarmConfig()}
+    with objective.costs([numbers], **options) as (cost,):
+        whole = cost(positions, none)
+    for _ in range(2):
+        parts = np.arange(0, 20, 2), np.arange(1, 20, 2)
+        with objective.costs([numbers[part] for part in parts], **options) as costs:
+            for part, cost in zip(parts, costs, strict=True):
+                np.testing.assert_array_equal(cost(positions[part], none[part]), whole[part])
+    first, second = (on_device(device).borrow(10, 4) for _ in range(2))
+    assert first is not second
+    on_device(device).give_back(first)
+    assert on_device(device).borrow(10, 4) is first
+
+
+def test_unusable_settings_are_refused() -> None:
     for option in fields(ObjectiveConfig):
         with pytest.raises(InputError, match=option.name):
             ObjectiveConfig(**{option.name: -1})
-    with pytest.raises(InputError, match="no grip modes"):
-        GraspObjective(shaped_hand(), [], field, friction=0.8)

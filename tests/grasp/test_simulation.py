@@ -116,7 +116,7 @@ def test_blocks_are_set_down_one_after_another(shared) -> None:
     starts = np.array([[0.0, 0.0, block.rest_height, 1, 0, 0, 0]] * 2)
     starts[1, 0] = 0.25
     second = moved_on(plan, 0.25)
-    runs = simulate_sequence(
+    runs, ends = simulate_sequence(
         [(0, plan), (1, second)], [block, block], starts, hand=HAND, config=BRIEF,
         solids=shared["block"]["solids"],
     )  # fmt: skip
@@ -126,6 +126,8 @@ def test_blocks_are_set_down_one_after_another(shared) -> None:
         assert run.supported[-1] and not run.contact_forces[-1].any()
     # The second run leaves the first block where it is.
     assert len(runs) == 2 and abs(runs[1].object_poses[0, 0] - 0.25) < 1e-3
+    np.testing.assert_allclose(ends[0], runs[0].object_poses[-1], atol=1e-3)
+    np.testing.assert_allclose(ends[1], runs[1].object_poses[-1], atol=1e-6)
 
 
 def a_run(**changes) -> GraspRun:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
@@ -12,10 +14,18 @@ from handtrack.grasp.taxonomy import grip_pads
 from handtrack.hand.kinematics import bone_frames
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import NBONE
-from handtrack.kernels.grasp_score import measure_overlaps, score_contacts
+from handtrack.kernels.grasp_score import (
+    GraspTask,
+    measure_overlaps,
+    score_contacts,
+    weigh_contacts,
+    weigh_overlaps,
+)
 from handtrack.objects.distance_field import DistanceField
 from handtrack.objects.library import load_object
 from handtrack.transforms import matrix_to_quat, rotvec_to_matrix
+from oracles.balance import imbalance
+from oracles.device_arrays import download, poisoned, upload
 from oracles.scenes import shaped_hand
 
 CONE = 0.4
@@ -47,6 +57,16 @@ def frames_on(device: wp.Device, rotations: np.ndarray, origins: np.ndarray) -> 
     return put(rotations, wp.mat33, device), put(origins, wp.vec3, device)
 
 
+def make_task(device: wp.Device, field: DistanceField | None = None, **values: Any) -> tuple:
+    """An array of one task, and what it points to."""
+    task: Any = GraspTask()
+    if field is not None:
+        task.grid = field.upload(device)
+    for name, value in values.items():
+        setattr(task, name, value)
+    return wp.array([task], dtype=GraspTask, device=device), task
+
+
 def test_overlap_is_that_of_the_deepest_point_whatever_balls_are_passed_over(
     device: str, field: DistanceField, rng: np.random.Generator
 ) -> None:
@@ -54,11 +74,15 @@ def test_overlap_is_that_of_the_deepest_point_whatever_balls_are_passed_over(
     skin = SkinPoints.of(hand, 200)
     rotations, origins = bone_frames(hand, hands_about_an_object(hand, rng, 60))
     table = (0.0, 0.6, 0.8, -0.13)
-    depths = wp.full(60, np.inf, dtype=float, device=where)
+    depths = poisoned(60, device)
+    tasks, _kept = make_task(where, field, table=wp.vec4(*table))
+    row_hand, limits = np.zeros(60, int), np.full(20, np.inf)
+    row_hand[7], limits[[3, 4]] = -1, (0.004, -1.0)
     measure_overlaps(
         put(skin.group_bones, int, where), put(skin.group_starts, int, where),
         put(skin.group_centres, wp.vec3, where), put(skin.group_radii, float, where),
-        put(skin.points.offsets, wp.vec3, where), field.upload(where), table,
+        put(skin.points.offsets, wp.vec3, where), tasks, upload(limits, device),
+        upload(row_hand, device),
         *frames_on(where, rotations, origins), depths=depths,
     )  # fmt: skip
     bones, offsets = skin.points.bones, skin.points.offsets
@@ -66,7 +90,11 @@ def test_overlap_is_that_of_the_deepest_point_whatever_balls_are_passed_over(
     heights = points @ table[:3] - table[3]
     expected = np.maximum(-np.minimum(field.distance(points), heights).min(1), 0.0)
     assert 0.1 < (expected > 0.002).mean() < 0.95  # some are clear, some are not
-    np.testing.assert_allclose(depths.numpy(), expected, atol=2e-6)
+    beyond = expected > np.tile(limits, 3)
+    assert 3 < beyond.sum() < 6
+    expected[beyond] = np.inf
+    expected[7] = np.nan  # left out
+    np.testing.assert_allclose(download(depths), expected, atol=2e-6)
 
 
 def contact_oracle(
@@ -88,7 +116,10 @@ def contact_oracle(
         press = np.einsum("cij,cj->ci", R, pad.normals)
         facing = np.maximum(0.5 + (press * normals).sum(1), 0.0).sum()
         surfaces.append(nearest)
-        scores.append([np.abs(away).sum(), np.linalg.norm(nearest.mean(0)), angles, facing])
+        scores.append([
+            np.abs(away).sum(), np.linalg.norm(nearest.mean(0)), angles, facing,
+            imbalance(nearest, normals),
+        ])  # fmt: skip
     return surfaces, np.array(scores)
 
 
@@ -97,8 +128,8 @@ def test_contacts_of_several_grip_modes_at_once(
 ) -> None:
     where, hand = resolve_device(device), shaped_hand("right", 2)
     pads = [grip_pads(hand, name) for name in ("palmar_pinch", "prismatic_4_finger")]
-    nframe, count = 3, 24
-    rotations, origins = bone_frames(hand, hands_about_an_object(hand, rng, count * nframe))
+    count = 24
+    rotations, origins = bone_frames(hand, hands_about_an_object(hand, rng, count))
     grips = rng.integers(0, 2, count)
     bones, pairs = np.full((2, 5), -1), np.full((2, 4, 2), -1)
     points, normals = np.zeros((2, 2, 5, 3))
@@ -109,15 +140,15 @@ def test_contacts_of_several_grip_modes_at_once(
     found = {
         "points": wp.full((count, 5), wp.vec3(np.inf), dtype=wp.vec3, device=where),
         "normals": wp.full((count, 5), wp.vec3(np.inf), dtype=wp.vec3, device=where),
-        "scores": wp.full((count, 4), np.inf, dtype=float, device=where),
+        "scores": wp.full((count, 5), np.inf, dtype=float, device=where),
     }
+    tasks, _kept = make_task(where, field, cone=CONE)
     score_contacts(
         put(bones, int, where), put(points, wp.vec3, where), put(normals, wp.vec3, where),
-        put(pairs, int, where), field.upload(where), put(grips, int, where),
-        *frames_on(where, rotations, origins), nframe=nframe, cone=CONE, **found,
+        put(pairs, int, where), tasks, put(grips, int, where),
+        *frames_on(where, rotations, origins), **found,
     )  # fmt: skip
-    last = np.arange(nframe - 1, count * nframe, nframe)
-    surfaces, scores = contact_oracle(pads, field, grips, rotations[last], origins[last])
+    surfaces, scores = contact_oracle(pads, field, grips, rotations, origins)
     assert rotations.shape[1] == NBONE
     # Where the distance has a crease, float32 may take the normal of the other side.
     errors = np.abs(found["scores"].numpy() - scores)
@@ -129,3 +160,64 @@ def test_contacts_of_several_grip_modes_at_once(
         assert np.median(off) < 1e-4
         assert (found["points"].numpy()[k, n:] == 0).all()
         assert (found["normals"].numpy()[k, n:] == 0).all()
+
+
+def test_balance_is_that_of_the_best_shares_of_all_contacts(
+    device: str, field: DistanceField, rng: np.random.Generator
+) -> None:
+    where, hand = resolve_device(device), shaped_hand("right", 2)
+    pad = grip_pads(hand, "medium_wrap")
+    count = 200
+    rotations, origins = bone_frames(hand, hands_about_an_object(hand, rng, count))
+    size = len(pad.bones)
+    points, normals = (wp.zeros((count, size), dtype=wp.vec3, device=where) for _ in range(2))
+    scores, (tasks, _kept) = poisoned((count, 5), device), make_task(where, field, cone=CONE)
+    score_contacts(
+        put(pad.bones[None], int, where), put(pad.points[None], wp.vec3, where),
+        put(pad.normals[None], wp.vec3, where), put(pad.pairs[None], int, where), tasks,
+        upload(np.zeros(count, int), device), *frames_on(where, rotations, origins),
+        points=points, normals=normals, scores=scores,
+    )  # fmt: skip
+    there = (points.numpy().astype(np.float64), normals.numpy().astype(np.float64))
+    expected = np.array([imbalance(*contacts) for contacts in zip(*there, strict=True)])
+    assert expected.min() < 0.3 and expected.max() > 0.8
+    errors = download(scores)[:, 4] - expected
+    assert errors.min() > -1e-4  # the oracle's is the least there is
+    assert np.median(errors) < 0.005 and errors.max() < 0.05
+
+
+def test_terms_are_weighed_and_particles_given_up_once_they_are_no_better(device: str) -> None:
+    where, nframe = resolve_device(device), 4
+    tasks, _kept = make_task(
+        where, prior=0.5, collision=8.0, depth=400.0, tolerance=0.002, contact=100.0, facing=3.0,
+        centroid=20.0, angle=2.0, balance=0.5,
+    )  # fmt: skip
+    densities, scores = np.array([-2.0, -4.0, 6.0]), np.array([
+        [0.01, 0.02, 0.4, 1.0, 0.4], [0.0, 0.0, 0.0, 0.0, 0.0], [0.03, 0.1, 1.0, 0.0, 0.0],
+    ])  # fmt: skip
+    terms, limits = poisoned((3, 4), device), poisoned(3, device)
+    bounds = upload(np.array([np.inf, 4.0, 4.5]), device)
+    weigh_contacts(
+        tasks, upload(densities, device), upload(scores, device), bounds, nframe, terms=terms,
+        limits=limits,
+    )  # fmt: skip
+    expected = np.array([[1.0, 0.0, 4.0, 1.4], [2.0, 0.0, 0.0, 0.0], [-3.0, 0.0, 3.0, 4.0]])
+    np.testing.assert_allclose(download(terms), expected, rtol=1e-6)
+
+    # The second may cost 2 more than it does; a collision in one frame of four costs 2 and depth.
+    np.testing.assert_allclose(download(limits), [np.inf, 0.002, 0.002], rtol=1e-6)
+
+    # From the grasping pose back: only there nothing is said of 2 mm.
+    depths = np.array([[0.002, 0.003, 0.0], [0.001, 0.0, 0.0], [0.0, 0.0, 0.0], [0.01, 0.01, 0.0]])
+    totals, row_hand = poisoned(3, device), upload(np.zeros(nframe * 3, int), device)
+    deep = upload(depths.ravel(), device)
+    given = {"terms": terms, "totals": totals, "limits": limits, "row_hand": row_hand}
+    weigh_overlaps(tasks, bounds, deep, (0, 1), nframe, **given)
+    # (8 + 400 * 0.001) / 4 of the second's grasping pose; 2 + 2.1 is no lower than 4.
+    np.testing.assert_allclose(download(totals), [6.4, np.inf, 4.0], rtol=1e-6)
+    np.testing.assert_array_equal(
+        download(row_hand).reshape(nframe, 3), [[0] * 3] + [[0, -1, 0]] * 3
+    )
+    weigh_overlaps(tasks, bounds, deep, (1, nframe), nframe, **given)
+    np.testing.assert_allclose(download(totals), [11.5, np.inf, 4.0], rtol=1e-6)
+    np.testing.assert_allclose(download(terms)[:, 1], [5.1, 2.1, 0.0], rtol=1e-6)

@@ -65,3 +65,20 @@ def test_any_angle_and_any_rotation_stays_a_rotation(make_posed, device, rng) ->
     np.testing.assert_allclose(
         r, np.stack([bone_frames(posed.hands[0], pose)[0] for pose in poses]), atol=1e-5
     )
+
+
+def test_rows_that_are_left_out_are_not_written(make_posed, device) -> None:
+    posed = make_posed(device, seed=3)
+    model, rows = posed.model, np.array([1, -1, 1])
+    rotations = poisoned((3, NBONE), device, wp.mat33)
+    origins = poisoned((3, NBONE), device, wp.vec3)
+    axes = poisoned((3, NANGLE), device, wp.vec3)
+    pose_bones(
+        model.bone_rotations, model.bone_origins, model.bone_parents, model.bone_angles,
+        model.angle_axes, upload(rows, device), posed.pose, rotations=rotations, origins=origins,
+        axes=axes,
+    )  # fmt: skip
+    for array in (rotations, origins, axes):
+        written = np.isfinite(download(array).reshape(3, -1))
+        np.testing.assert_array_equal(written.all(1), [True, False, True])
+        assert not written[1].any()

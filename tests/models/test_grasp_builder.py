@@ -1,6 +1,7 @@
 """The builder of the grasp database."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from grasp_builder.building import BuildConfig, Builder, BuildLog  # noqa: E402
 from grasp_builder.fitting import GraspFit  # noqa: E402
 from grasp_builder.moving import minimum_jerk, transport  # noqa: E402
 from grasp_builder.placing import MANNERS, draw_placing  # noqa: E402
+from grasp_builder.proving import holds  # noqa: E402
 
 from handtrack.grasp.taxonomy import DIP_SHARE, GRIPS, grip_mode, grip_pads  # noqa: E402
 from handtrack.hand.kinematics import skin  # noqa: E402
@@ -20,6 +22,7 @@ from handtrack.hand.model import HandModel  # noqa: E402
 from handtrack.hand.skeleton import ANGLES  # noqa: E402
 from handtrack.objects.distance_field import DistanceField  # noqa: E402
 from handtrack.objects.library import DATABASE_OBJECTS, load_object  # noqa: E402
+from handtrack.physics.bone_solids import bone_solids  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +77,9 @@ def test_a_fitted_grasp_touches_with_every_pad_and_enters_nowhere(hand, ball):
 def test_built_recordings_open_before_they_close_and_carry_the_object(hand, ball):
     thing, distances = ball
     log = BuildLog()
-    made = Builder(hand, "tripod", thing, distances, BuildConfig(trials=2), log).recordings()
+    solids = bone_solids(hand)
+    builder = Builder(hand, "tripod", thing, distances, solids, BuildConfig(trials=2), log)
+    made = builder.recordings()
     assert made and log.kept["tripod"] == len(made)
     for item in made:
         index = 7 + ANGLES.index("index_mcp_flexion")
@@ -86,6 +91,18 @@ def test_built_recordings_open_before_they_close_and_carry_the_object(hand, ball
         assert ("releasing" in item.phases) == (item.trial % 2 == 1)
         steps = np.abs(np.diff(item.hand_poses[:, :3], axis=0)).max()
         assert steps < 0.015  # 1.8 m/s
+
+
+def test_only_what_holds_under_physics_is_a_recording(hand, ball):
+    thing, distances = ball
+    solids = bone_solids(hand)
+    builder = Builder(hand, "tripod", thing, distances, solids, BuildConfig(trials=1), BuildLog())
+    made = builder.recordings()[0]
+    there = {"hand": hand, "distances": distances, "solids": solids}
+    assert holds(made, thing, **there)
+    beside = made.hand_poses.copy()
+    beside[:, 1] += 0.02
+    assert not holds(replace(made, hand_poses=beside), thing, **there)
 
 
 def test_minimum_jerk_starts_and_ends_at_rest():

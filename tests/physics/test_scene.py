@@ -17,6 +17,7 @@ from handtrack.objects.shapes import box, sphere
 from handtrack.physics.bone_solids import BoneSolid
 from handtrack.physics.hand_body import LAYOUTS, Layout
 from handtrack.physics.scene import Scene, SceneConfig
+from handtrack.transforms import matrix_to_rotvec
 
 BLOCK = RigidObject.of_shape(box(0.05, 0.05, 0.05), name="block", mass=0.1)
 
@@ -90,15 +91,24 @@ def test_joint_limits_hold(scene: Scene, hand: ShapedHand) -> None:
     assert (angles[dip] < hand.limits[dip, 1] + np.deg2rad(8.0)).all()
 
 
-def test_point_jacobian_equals_central_differences(scene: Scene, hand: ShapedHand) -> None:
+def test_joint_torques_of_a_force_are_its_work_by_central_differences(
+    scene: Scene, hand: ShapedHand
+) -> None:
     pose = lifted(hand)
     scene.set_hand(pose)
     bone, local = 6, np.array([0.01, 0.005, 0.0])
     rotation, origin = scene.bone_frame(bone)
-    jacobian = scene.point_jacobian(bone, origin + rotation @ local)
+    force, point = np.array([0.3, -0.5, 0.8]), origin + rotation @ local
+    torque = scene.hand_torque([(bone, point, np.array([*force, 0.0, 0.0, 0.0]))])
+    moment = np.array([0.1, 0.4, -0.2])
+    turning = scene.hand_torque([(bone, point, np.array([0.0, 0.0, 0.0, *moment]))])
+    both = scene.hand_torque(
+        [(bone, point, np.zeros(6)), (bone, point, np.array([*force, *moment]))]
+    )
+    np.testing.assert_allclose(both, torque + turning, atol=1e-12)
     start = scene.data.qpos.copy()
     for dof in range(scene.layout.nv):
-        places = []
+        places, turns = [], []
         for sign in (1.0, -1.0):
             way = np.zeros(scene.model.nv)
             way[dof] = sign
@@ -107,7 +117,11 @@ def test_point_jacobian_equals_central_differences(scene: Scene, hand: ShapedHan
             mujoco.mj_kinematics(scene.model, scene.data)
             rotation, origin = scene.bone_frame(bone)
             places.append(origin + rotation @ local)
-        np.testing.assert_allclose(jacobian[:3, dof], (places[0] - places[1]) / 2e-6, atol=1e-7)
+            turns.append(rotation)
+        work = force @ (places[0] - places[1]) / 2e-6
+        np.testing.assert_allclose(torque[dof], work, atol=1e-7)
+        spin = matrix_to_rotvec(turns[0] @ turns[1].T) / 2e-6
+        np.testing.assert_allclose(turning[dof], moment @ spin, atol=1e-6)
 
 
 def test_a_block_at_rest_stays_and_does_not_sink(scene: Scene) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handtrack.errors import InputError
 from handtrack.grasp.skin_points import SkinPoints
+from handtrack.hand.inverse_kinematics import BonePoints
 from handtrack.hand.kinematics import keypoints, palm_centre
 from handtrack.hand.model import ShapedHand
 from handtrack.objects.distance_field import DistanceField
@@ -35,19 +36,27 @@ RAMP = 0.4
 class Surroundings:
     """An object that stands still, and the table it stands on."""
 
-    def __init__(self, hand: ShapedHand, distances: DistanceField, place: ArrayLike) -> None:
+    def __init__(
+        self,
+        hand: ShapedHand,
+        distances: DistanceField,
+        place: ArrayLike,
+        *,
+        skin: BonePoints | None = None,
+    ) -> None:
         """Prepare.
 
         Args:
             hand: The hand that is to keep clear.
             distances: Signed distances of the object.
             place: Pose of the object in the world, whose table is z = 0, shape (7,).
+            skin: `clearance_points` of the hand, for many surroundings; spread when absent.
         """
         self._hand, self._field = hand, distances
         self._place = np.asarray(place, np.float64)
         if self._place.shape != (7,):
             raise InputError(f"place has shape {self._place.shape}; expected (7,)")
-        self._skin = SkinPoints.of(hand, POINTS).points
+        self._skin = skin if skin is not None else clearance_points(hand)
 
     def room(self, poses: ArrayLike) -> Float:
         """Least distance of the skin from object and table [m], shape (n,), of poses (n, 28)."""
@@ -62,6 +71,11 @@ class Surroundings:
         length = float(np.linalg.norm(way))
         # Straight above the object any direction is as good: the hand goes up.
         return way / length if length > 1e-3 else np.array([0.0, 0.0, 1.0])
+
+
+def clearance_points(hand: ShapedHand) -> BonePoints:
+    """The points of a hand's skin that must keep clear."""
+    return SkinPoints.of(hand, POINTS).points
 
 
 def cleared(poses: ArrayLike, around: Surroundings) -> Float:

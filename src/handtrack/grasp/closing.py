@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from handtrack.errors import InputError
 from handtrack.grasp.contact_ik import ContactIkConfig, blend_correction, pull_contacts
 from handtrack.grasp.feasibility import FeasibilityResult, feasible
+from handtrack.grasp.grip_device import GripDevice
 from handtrack.grasp.motion_model import GripModel
 from handtrack.grasp.objective import GraspObjective, ObjectiveConfig, Scores, Wish
 from handtrack.grasp.swarm import (
@@ -23,13 +24,13 @@ from handtrack.grasp.swarm import (
     Swarm,
     SwarmConfig,
     draw_places,
-    place_increments,
+    parts_of,
     place_motions,
     search,
 )
-from handtrack.grasp.taxonomy import GripPads, grip_pads
+from handtrack.grasp.taxonomy import GripPads
 from handtrack.hand.model import ShapedHand
-from handtrack.hand.skeleton import NV
+from handtrack.hand.skeleton import NQ
 from handtrack.objects.distance_field import DistanceField
 from handtrack.objects.rigid_object import RigidObject
 from handtrack.transforms import quat_to_matrix
@@ -53,7 +54,7 @@ class ClosingConfig:
     """Grip modes that are left after the first search."""
     ik: ContactIkConfig = field(default_factory=ContactIkConfig)
     """How contacts are pulled onto the surface."""
-    candidates: int = 16
+    candidates: int = 8
     """Particles of the last generation that are pulled and tested."""
     attempts: int = 3
     """Searches at most, until a grasp is feasible."""
@@ -127,6 +128,7 @@ class ClosingSynthesizer:
         wish: Wish | None = None,
         config: ClosingConfig | None = None,
         device: str | None = None,
+        grips: GripDevice | None = None,
     ) -> None:
         """Prepare.
 
@@ -140,17 +142,22 @@ class ClosingSynthesizer:
             wish: What the user asks for.
             config: Settings.
             device: "cpu", "cuda:N" or None for the best there is.
+            grips: The same hand with these models and perhaps others, uploaded before.
         """
         self.config = config if config is not None else ClosingConfig()
         self.hand, self.body, self.distances = hand, body, distances
-        self.models, self.yaw = list(models), yaw
-        self.pads = [grip_pads(hand, model.grip) for model in models]
+        if grips is None:
+            skin_points = self.config.objective.skin_points
+            grips = GripDevice(hand, models, skin_points=skin_points, device=device)
+        self.models, self.pads, self.yaw = grips.models, grips.pads, yaw
+        self._grips = grips
+        self._chosen = np.array([grips.number(model.grip) for model in models])
         self._turn = quat_to_matrix(place[3:]).T  # from the upright frame to the object's
         self._table = np.append(self._turn @ [0.0, 0.0, 1.0], -place[2])
-        self._width = max(model.nweight for model in models)
+        self._width = grips.motions.nweight
         self._objective = GraspObjective(
-            hand, self.pads, distances, friction=body.friction, table=self._table, wish=wish,
-            config=self.config.objective, device=device,
+            grips, distances, friction=body.friction, table=self._table, wish=wish,
+            config=self.config.objective,
         )  # fmt: skip
 
     def run(self, seed: int = 0) -> ClosingGrasp:
@@ -186,7 +193,7 @@ class ClosingSynthesizer:
 
     def _search(self, rng: np.random.Generator) -> tuple[Swarm, NDArray[np.intp]]:
         """The swarm of the grip modes that are left, and the grip mode of each particle."""
-        config, chosen = self.config, np.arange(len(self.models))
+        config, chosen = self.config, self._chosen
         seeds: Float | None = None
         if len(chosen) > config.screened:
             count = len(chosen)
@@ -220,12 +227,11 @@ class ClosingSynthesizer:
             for grip, position in zip(chosen, seeds, strict=True):
                 first[np.flatnonzero(grips == grip)[0]] = position
         spread = np.concatenate([np.ones(self._width), config.place_spread])
-
-        def cost(positions: Float) -> Float:
-            motions, density = self._motions(positions, grips, config)
-            return self._objective(motions, grips, density).total
-
-        swarm = search(cost, first, spread, config=config, rng=rng)
+        parts = [grips[part] for part in parts_of(config, self._grips.threads)]
+        with self._objective.costs(
+            parts, nframe=self.config.frames, R_object_up=self._turn, swarm=config
+        ) as costs:
+            swarm = search(costs, first, spread, config=config, rng=rng)
         return swarm, grips[swarm.order]
 
     def _draw(self, model: GripModel, count: int, rng: np.random.Generator) -> Float:
@@ -240,16 +246,15 @@ class ClosingSynthesizer:
         self, positions: Float, grips: NDArray[np.intp], config: SwarmConfig
     ) -> tuple[Float, Float]:
         """Motions in the object's frame and the log density of their coordinates."""
-        moves = np.empty((len(positions), self.config.frames, NV))
+        motions = np.empty((len(positions), self.config.frames, NQ))
         density = np.empty(len(positions))
         for grip in np.unique(grips):
             own, model = grips == grip, self.models[grip]
             weights = positions[own, : model.nweight]
-            moves[own] = model.increments(weights, self.config.frames)
+            motions[own] = model.motions(weights, self.config.frames)
             density[own] = model.log_density(weights)
-        bases = np.stack([model.base for model in self.models])[grips]
         places = positions[:, self._width :]
-        motions = place_increments(bases, moves, places, self._turn)
+        motions = place_motions(motions, places, self._turn)
         return motions, density + config.log_prior(places)
 
     # Ending

@@ -35,7 +35,7 @@ COUPLED = np.array([
 class ContactIkConfig:
     """Settings of the pull."""
 
-    iterations: int = 18
+    iterations: int = 12
     """Gauss-Newton steps."""
     depth: float = 0.0005
     """How deep a contact is to sit in the object [m]."""

@@ -21,10 +21,10 @@ from handtrack.grasp.contact_forces import ForceConfig, contact_forces
 from handtrack.grasp.gains import Gains
 from handtrack.grasp.reference import Stage
 from handtrack.grasp.touch import SetPoints
+from handtrack.grasp.turns import inverse, product, rotation_vector
 from handtrack.hand.skeleton import ANGLES, finger_of_bone
 from handtrack.physics.contacts import Contacts
 from handtrack.physics.scene import Scene
-from handtrack.transforms import matrix_to_rotvec, quat_to_matrix
 
 Float = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class ControlConfig:
     forces: ForceConfig = field(default_factory=ForceConfig)
     force_interval: int = 4
     """Steps between solutions of the contact force program; its forces change slowly."""
-    press_per_weight: float = 0.5
+    press_per_weight: float = 1.0
     """Least normal force of a planned patch beyond `ForceConfig.least_press`, as a share of the
     object's weight."""
     reach_force: float = 0.4
@@ -114,11 +114,11 @@ class GraspController:
         self._points = np.asarray(contact_points, np.float64).reshape(-1, 3)
         self._normals = np.asarray(contact_normals, np.float64).reshape(-1, 3)
         self._stiffness, self._damping = self.config.gains.of_hand(scene.layout.bone_dofs())
+        self._resistance = scene.config.timestep * self._stiffness + self._damping
         thing = scene.objects[index]
         self._weight = thing.mass * scene.config.gravity
         self._friction = thing.friction
         self._flexions = _flexions(scene)
-        self._diagonal = np.diag_indices(scene.layout.nv)
         self._set_points = SetPoints(scene, self._bones)
         self._calls = 0
         self._waited = 0.0
@@ -131,7 +131,7 @@ class GraspController:
         scene = self.scene
         gravity = scene.hand_bias()
         way = scene.hand_error(target.hand)
-        extra = np.zeros_like(gravity)
+        extra = np.zeros(len(gravity))
         gripping = Stage.TAKING <= target.stage <= Stage.HOLDING
         if self.variant == "full":
             self._give_way(way, target)
@@ -177,17 +177,16 @@ class GraspController:
 
     def _servo(self, way: Float, velocity: Float, extra: Float) -> Float:
         """tau_active: Eq. III.20 at the end of the step, where the servo itself will have moved."""
-        scene, dt = self.scene, self.scene.config.timestep
-        moving = scene.hand_velocity()
+        scene = self.scene
         # tau = K_p (way + dt v_goal - dt v') + K_d (v_goal - v'),  v' = v + dt M^-1 (tau + rest)
-        pull = self._stiffness * (way + dt * (velocity - moving)) + self._damping * (
-            velocity - moving
-        )
-        give = dt * (dt * self._stiffness + self._damping)
+        pull = self._stiffness * way + self._resistance * (velocity - scene.hand_velocity())
+        give = scene.config.timestep * self._resistance
         known = extra + scene.hand_constraint()
         system = scene.hand_inertia()
-        system[self._diagonal] += give
-        _, accel, info = _SOLVE_POSITIVE(system, pull + known)
+        diagonal = system.ravel()[:: len(system) + 1]
+        diagonal += give
+        # Symmetric: transposed it is as LAPACK wants it, and need not be copied.
+        _, accel, info = _SOLVE_POSITIVE(system.T, pull + known, overwrite_a=1, overwrite_b=1)
         # Only a state that is not finite has no inertia; `Scene.burst` tells of it.
         return pull - give * accel if info == 0 else np.zeros_like(pull)
 
@@ -196,10 +195,7 @@ class GraspController:
     def _grasp_torque(self, target: Target) -> Float:
         if self._calls % self.config.force_interval == 0:
             self._solve_forces(target)
-        torque = np.zeros(self.scene.layout.nv)
-        for bone, point, wrench in self._patches:
-            torque += self.scene.point_jacobian(bone, point).T @ wrench
-        return torque
+        return self.scene.hand_torque(self._patches)
 
     def _solve_forces(self, target: Target) -> None:
         scene, config = self.scene, self.config
@@ -227,19 +223,18 @@ class GraspController:
 
     def _pressing(self, touching: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which touching bones press: the planned ones, and others of a finger whose pad is off."""
-        planned = np.isin(touching, self._bones)
-        fingers = np.array([finger_of_bone(int(bone)) for bone in touching])
-        absent = self._bones[~np.isin(self._bones, touching)]
-        standing_in = {finger_of_bone(int(bone)) for bone in absent} - set(fingers[planned])
-        return planned | np.isin(fingers, list(standing_in))
+        bones, planned = touching.tolist(), set(self._bones.tolist())
+        standing_in = {finger_of_bone(bone) for bone in planned.difference(bones)}
+        standing_in -= {finger_of_bone(bone) for bone in planned.intersection(bones)}
+        return np.array([bone in planned or finger_of_bone(bone) in standing_in for bone in bones])
 
     def _reaching_pushes(
         self, touching: Contacts, centre: Float, turn: Float
     ) -> list[tuple[int, Float, Float]]:
         """Pushes that bring planned contacts about which do not touch yet, or no more."""
-        pushes = []
+        pushes, there = [], set(touching.bones.tolist())
         for bone, local, outward in zip(self._bones, self._points, self._normals, strict=True):
-            if bone not in touching.bones:
+            if int(bone) not in there:
                 wrench = np.zeros(6)
                 wrench[:3] = -self.config.reach_force * (turn @ outward)
                 pushes.append((int(bone), centre + turn @ local, wrench))
@@ -251,9 +246,9 @@ class GraspController:
         velocity = self.scene.object_velocity(self.index)
         lag = target.thing_velocity[:3] - velocity[:3]
         spin = target.thing_velocity[3:] - turn @ velocity[3:]
-        away = matrix_to_rotvec(quat_to_matrix(target.thing[3:]) @ turn.T)
+        away = rotation_vector(product(target.thing[3:].tolist(), inverse(pose[3:].tolist())))
         force = gains.object_translation[0] * (target.thing[:3] - pose[:3])
-        torque = gains.object_rotation[0] * away
+        torque = gains.object_rotation[0] * np.array(away)
         return np.concatenate(
             [force + gains.object_translation[1] * lag, torque + gains.object_rotation[1] * spin]
         )

@@ -1,31 +1,33 @@
 """What a good closing motion is: the objective of Eq. III.4, for motions of all grip modes at once.
 
 The thesis gives weights but no units: lengths count here in millimetres (in centimetres in the
-control term), angles in radians. Three things go beyond it: the table counts like the object; the
-collision penalty also grows with the depth, so that a swarm feels which way is out; and contacts
-must press with the side of the skin that the grip mode presses with.
+control term), angles in radians. Four things go beyond it: the table counts like the object; the
+collision penalty also grows with the depth, so that a swarm feels which way is out; contacts must
+press with the side of the skin that the grip mode presses with; and all contacts together should
+balance without friction, since pairs of them that oppose each other do not say so for more than two
+(distance of the origin from the hull of the contacts' wrenches, after Ferrari and Canny 1992).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from handtrack.device import resolve_device
 from handtrack.errors import InputError
-from handtrack.grasp.skin_points import SkinPoints
-from handtrack.grasp.taxonomy import GripPads
-from handtrack.hand.device_hand import DeviceHand
+from handtrack.grasp.grip_device import GripDevice
+from handtrack.grasp.score_batch import ScoreBatch
+from handtrack.grasp.swarm import SwarmConfig
 from handtrack.hand.kinematics import keypoints
-from handtrack.hand.model import ShapedHand
-from handtrack.hand.skeleton import NANGLE, NBONE, NQ
-from handtrack.kernels.grasp_score import measure_overlaps, score_contacts
-from handtrack.kernels.kinematics import pose_bones
+from handtrack.kernels.grasp_motion import Placing
+from handtrack.kernels.grasp_score import GraspTask
 from handtrack.objects.distance_field import DistanceField
+from handtrack.transforms import matrix_to_quat
 
 Float = NDArray[np.float64]
 
@@ -49,11 +51,13 @@ class ObjectiveConfig:
     contact: float = 0.4
     """w_d: distance of the contact points from the surface [1/mm]."""
     quality: float = 2.0
-    """w_q: both parts of the grasp quality."""
+    """w_q: all parts of the grasp quality."""
     centroid: float = 0.06
     """w_1 of Eq. III.9: distance of the contacts' middle from the centre of mass [1/mm]."""
     cone: float = 4.0
     """w_2 of Eq. III.9: angles between contact lines and normals beyond the cones [1/rad]."""
+    balance: float = 8.0
+    """Part of the grasp quality: wrench that the best balanced normal forces of sum one leave."""
     facing: float = 4.0
     """Cost of a contact that presses with the wrong side of the skin, as part of E_d [mm]."""
     penalty: float = 10.0
@@ -113,70 +117,29 @@ class GraspObjective:
 
     def __init__(
         self,
-        hand: ShapedHand,
-        grips: Sequence[GripPads],
+        grips: GripDevice,
         field: DistanceField,
         *,
         friction: float,
         table: ArrayLike = NO_TABLE,
         wish: Wish | None = None,
         config: ObjectiveConfig | None = None,
-        device: str | None = None,
     ) -> None:
-        """Upload what does not change.
+        """Upload the object.
 
         Args:
-            hand: The hand.
-            grips: Where each grip mode touches.
+            grips: The hand and its grip modes.
             field: Signed distances of the object.
             friction: Sliding friction of the object.
             table: Up direction and height of the table along it [m], object's frame, shape (4,).
             wish: What the user asks for.
             config: Weights.
-            device: "cpu", "cuda:N" or None for the best there is.
-
-        Raises:
-            InputError: There are no grip modes.
         """
-        if not grips:
-            raise InputError("no grip modes are given; expected at least one")
         self.config = config if config is not None else ObjectiveConfig()
-        self.hand, self.wish = hand, wish if wish is not None else Wish()
-        self._device = resolve_device(device)
-        self._hand = DeviceHand.upload([hand], self._device)
-        self._put_skin(SkinPoints.of(hand, self.config.skin_points))
-        self._grid = field.upload(self._device)
-        a, b, c, height = np.asarray(table, np.float64).tolist()
-        self._table = (a, b, c, height)
-        self._cone = float(np.arctan(self.config.cone_share * friction))
-        self._put_contacts(grips)
-        self._work: _Workspace | None = None
-
-    def _put_skin(self, skin: SkinPoints) -> None:
-        self._skin = (
-            wp.array(skin.group_bones.astype(np.int32), dtype=int, device=self._device),
-            wp.array(skin.group_starts.astype(np.int32), dtype=int, device=self._device),
-            wp.array(skin.group_centres.astype(np.float32), dtype=wp.vec3, device=self._device),
-            wp.array(skin.group_radii.astype(np.float32), dtype=float, device=self._device),
-            wp.array(skin.points.offsets.astype(np.float32), dtype=wp.vec3, device=self._device),
-        )
-
-    def _put_contacts(self, grips: Sequence[GripPads]) -> None:
-        self.ncontact = max(len(grip.bones) for grip in grips)
-        shape = (len(grips), self.ncontact)
-        bones = np.full(shape, -1, np.int32)
-        points, normals = np.zeros((2, *shape, 3), np.float32)
-        pairs = np.full((len(grips), max(len(g.pairs) for g in grips), 2), -1, np.int32)
-        for k, grip in enumerate(grips):
-            count = len(grip.bones)
-            bones[k, :count], points[k, :count] = grip.bones, grip.points
-            normals[k, :count], pairs[k, : len(grip.pairs)] = grip.normals, grip.pairs
-        self._contacts = (
-            wp.array(bones, dtype=int, device=self._device),
-            wp.array(points, dtype=wp.vec3, device=self._device),
-            wp.array(normals, dtype=wp.vec3, device=self._device),
-            wp.array(pairs, dtype=int, device=self._device),
-        )
+        self.wish = wish if wish is not None else Wish()
+        self._grips, self._task = grips, _task(self.config, friction)
+        self._task.grid = field.upload(grips.device)
+        self._task.table = wp.vec4(*np.asarray(table, np.float64).tolist())
 
     def __call__(self, motions: Float, grips: ArrayLike, log_density: ArrayLike = 0.0) -> Scores:
         """Score motions.
@@ -187,52 +150,62 @@ class GraspObjective:
             grips: Number of each motion's grip mode, shape (nparticle,).
             log_density: ln pr of each motion's coordinates, shape (nparticle,).
         """
-        count, nframe = motions.shape[:2]
-        if self._work is None or not self._work.fits(count, nframe):
-            self._work = _Workspace(count, nframe, self.ncontact, self._device)
-        work, hand = self._work, self._hand
-        work.pose.assign(motions.reshape(-1, NQ).astype(np.float32))
-        work.grips.assign(np.asarray(grips, np.int32))
-        pose_bones(
-            hand.bone_rotations, hand.bone_origins, hand.bone_parents, hand.bone_angles,
-            hand.angle_axes, work.row_hand, work.pose,
-            rotations=work.rotations, origins=work.origins, axes=work.axes,
-        )  # fmt: skip
-        measure_overlaps(
-            *self._skin, self._grid, self._table, work.rotations, work.origins,
-            depths=work.depths,
-        )  # fmt: skip
-        score_contacts(
-            *self._contacts, self._grid, work.grips, work.rotations, work.origins, nframe=nframe,
-            cone=self._cone, points=work.points, normals=work.normals, scores=work.scores,
-        )  # fmt: skip
-        depths = work.depths.numpy().astype(np.float64).reshape(count, nframe)
-        points = work.points.numpy().astype(np.float64)
-        terms = self._weighed(depths, work.scores.numpy().astype(np.float64))
-        density = np.broadcast_to(np.asarray(log_density, np.float64), (count,))
-        terms["prior"] = -self.config.prior * density
-        terms["control"] = self.config.control * self._departure(points, motions[:, -1])
+        density = np.broadcast_to(np.asarray(log_density, np.float64), (len(motions),))
+        with self._borrowed(len(motions), motions.shape[1]) as batch:
+            batch.bind(self._task, np.asarray(grips))
+            batch.score(motions, density)
+            prior, collision, contact, quality = batch.terms.T
+            points, normals, depths = batch.points, batch.normals, batch.depths
+        control = self.config.control * self._departure(points, motions[:, -1])
+        values = (prior, control, collision, contact, quality)
         return Scores(
-            terms={name: terms[name] for name in TERMS},
-            total=np.sum([terms[name] for name in TERMS], axis=0),
-            points=points,
-            normals=work.normals.numpy().astype(np.float64),
-            depths=depths,
-        )
+            terms=dict(zip(TERMS, values, strict=True)), total=np.sum(values, axis=0),
+            points=points, normals=normals, depths=depths,
+        )  # fmt: skip
 
-    def _weighed(self, depths: Float, scores: Float) -> dict[str, Float]:
-        """The three terms that the kernels measure."""
-        config = self.config
-        distance, centroid, angles, facing = scores.T
-        allowed = np.zeros(depths.shape[1])
-        allowed[-1] = config.tolerance  # no finger touches before the grasp
-        over = np.maximum(depths - allowed, 0.0)
-        pene = config.penalty * (over > 0) + config.depth_slope * 1e3 * over
-        return {
-            "collision": config.collision * pene.mean(1),
-            "contact": config.contact * (1e3 * distance + config.facing * facing),
-            "quality": config.quality * (config.centroid * 1e3 * centroid + config.cone * angles),
-        }
+    @contextmanager
+    def costs(
+        self, parts: Sequence[NDArray[np.intp]], *, nframe: int, R_object_up: Float,
+        swarm: SwarmConfig,
+    ) -> Iterator[list[Callable[[Float, Float], Float]]]:  # fmt: skip
+        """Costs of coordinates, for `swarm.search`; one function for each thread.
+
+        Args:
+            parts: Numbers of the grip modes of each part's particles, each (nparticle,).
+            nframe: Frames that are scored, at least two.
+            R_object_up: Rotation from the upright frame to the object's, shape (3, 3).
+            swarm: Spread of the placements, for their prior.
+        """
+        placing: Any = Placing()
+        placing.upright = wp.vec4(*matrix_to_quat(R_object_up).tolist())
+        placing.offset_spread, placing.tilt_spread = swarm.offset_spread, swarm.tilt_spread
+        batches = [self._grips.borrow(len(part), nframe) for part in parts]
+        try:
+            for batch, part in zip(batches, parts, strict=True):
+                batch.bind(self._task, part, placing)
+            yield [self._cost(batch) for batch in batches]
+        finally:
+            for batch in batches:
+                self._grips.give_back(batch)
+
+    def _cost(self, batch: ScoreBatch) -> Callable[[Float, Float], Float]:
+        wished = self.wish.contact_points is not None or self.wish.hand_pose is not None
+
+        def cost(positions: Float, bounds: Float) -> Float:
+            total = batch.search(positions, bounds)
+            if wished:
+                total += self.config.control * self._departure(batch.points, batch.grasping)
+            return total
+
+        return cost
+
+    @contextmanager
+    def _borrowed(self, count: int, nframe: int) -> Iterator[ScoreBatch]:
+        batch = self._grips.borrow(count, nframe)
+        try:
+            yield batch
+        finally:
+            self._grips.give_back(batch)
 
     def _departure(self, points: Float, poses: Float) -> Float:
         """E_c: mean distance from wanted contacts and from the wanted hand [cm]."""
@@ -246,30 +219,24 @@ class GraspObjective:
                 off = points[:, : len(wanted)][:, known] - wanted[known]
                 away += 100.0 * np.linalg.norm(off, axis=-1).mean(1)
         if self.wish.hand_pose is not None:
-            off = keypoints(self.hand, poses) - keypoints(self.hand, self.wish.hand_pose)
+            off = keypoints(self._grips.hand, poses) - keypoints(
+                self._grips.hand, self.wish.hand_pose
+            )
             away += 100.0 * np.linalg.norm(off, axis=-1).mean(1)
         return away
 
 
-class _Workspace:
-    """Arrays of one batch size on the device."""
-
-    def __init__(self, count: int, nframe: int, ncontact: int, device: wp.Device) -> None:
-        rows, self._size = count * nframe, (count, nframe)
-
-        def make(shape: tuple[int, ...] | int, dtype: type) -> wp.array:
-            return wp.zeros(shape, dtype=dtype, device=device)
-
-        self.pose, self.row_hand = make((rows, NQ), float), make(rows, int)
-        self.rotations = make((rows, NBONE), wp.mat33)
-        self.origins = make((rows, NBONE), wp.vec3)
-        self.axes = make((rows, NANGLE), wp.vec3)
-        self.depths = make(rows, float)
-        self.grips = make(count, int)
-        self.points = make((count, ncontact), wp.vec3)
-        self.normals = make((count, ncontact), wp.vec3)
-        self.scores = make((count, 4), float)
-
-    def fits(self, count: int, nframe: int) -> bool:
-        """Whether it is of this size."""
-        return self._size == (count, nframe)
+def _task(config: ObjectiveConfig, friction: float) -> Any:
+    """Weights as the kernels take them: of metres and radians."""
+    task: Any = GraspTask()
+    task.cone = float(np.arctan(config.cone_share * friction))
+    task.prior = config.prior
+    task.collision = config.collision * config.penalty
+    task.depth = config.collision * config.depth_slope * 1e3
+    task.tolerance = config.tolerance
+    task.contact = config.contact * 1e3
+    task.facing = config.contact * config.facing
+    task.centroid = config.quality * config.centroid * 1e3
+    task.angle = config.quality * config.cone
+    task.balance = config.quality * config.balance
+    return task

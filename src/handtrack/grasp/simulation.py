@@ -108,7 +108,7 @@ def simulate_sequence(
     controller: Variant = "full",
     config: SimulationConfig | None = None,
     solids: tuple[BoneSolid, ...] | None = None,
-) -> list[GraspRun]:
+) -> tuple[list[GraspRun], Float]:
     """Carry plans out one after another in one world, such as blocks that are stacked.
 
     Args:
@@ -121,7 +121,7 @@ def simulate_sequence(
         solids: `bone_solids` of the hand; made when absent.
 
     Returns:
-        A run for every plan.
+        A run for every plan, and where the objects are when all is over, shape (nobject, 7).
     """
     config = config or SimulationConfig()
     scene = Scene(hand, things, layout=config.layout, solids=solids, config=config.scene)
@@ -129,7 +129,9 @@ def simulate_sequence(
         scene.set_object(k, start)
     if plans:
         scene.set_hand(plans[0][1].hand_poses[0])
-    return [_carry_out(scene, plan, index, controller, config, (), None) for index, plan in plans]
+    runs = [_carry_out(scene, plan, index, controller, config, (), None) for index, plan in plans]
+    ends = [scene.object_pose(k) for k in range(len(things))]
+    return runs, np.array(ends).reshape(-1, 7)
 
 
 def _carry_out(
@@ -202,11 +204,10 @@ class _Log:
 
     def note(self, step: int) -> None:
         """Note the state after a step."""
-        contacts = self._scene.contacts(self._index)
-        if len(contacts):
-            self._depth = max(self._depth, float(contacts.depths.max()))
+        self._depth = max(self._depth, self._scene.contact_depth(self._index))
         if step % self._interval:
             return
+        contacts = self._scene.contacts(self._index)
         press = np.einsum("ni,ni->n", contacts.forces, contacts.normals)
         self._steps.append(step)
         self._hands.append(self._scene.hand_pose())

@@ -14,7 +14,7 @@ from handtrack.hand.skeleton import NBONE, NQ
 
 Float = NDArray[np.float64]
 
-PALM_GROUPS = 6
+PALM_GROUPS = 12
 """Groups of the palm's points, which would not fit a small ball."""
 
 

@@ -7,14 +7,15 @@ grasps for the test of feasibility.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.errors import InputError
-from handtrack.transforms import matrix_to_quat, moved_poses, rotvec_to_matrix
+from handtrack.transforms import moved_poses, rotvec_to_matrix
 
 Float = NDArray[np.float64]
 
@@ -95,44 +96,89 @@ class Swarm:
     """Best cost after every generation, shape (generations,)."""
 
 
+Cost = Callable[[Float, Float], Float]
+"""Costs, shape (n,), of positions, shape (n, ndim), and bounds, shape (n,): a cost that is no lower
+than its bound may come out as inf."""
+
+
+def parts_of(config: SwarmConfig, count: int) -> list[NDArray[np.intp]]:
+    """Numbers of the particles of whole groups, in at most so many parts of about the same size."""
+    count = min(count, config.groups)
+    group = np.arange(config.particles) % config.groups
+    return [np.flatnonzero(group % count == part) for part in range(count)]
+
+
 def search(
-    cost: Callable[[Float], Float],
+    costs: Sequence[Cost],
     first: Float,
     spread: Float,
     *,
     config: SwarmConfig,
     rng: np.random.Generator,
 ) -> Swarm:
-    """Minimise a cost.
+    """Minimise a cost; what is found does not depend on the number of threads.
 
     Args:
-        cost: Costs, shape (n,), of positions, shape (n, ndim).
+        costs: The cost, once for each of the `parts_of` the swarm; each has a thread.
         first: First positions, shape (n, ndim); particles k, k + groups, ... are one group.
         spread: Size of each coordinate: scales first velocities and bounds later ones, (ndim,).
         config: Settings.
         rng: Source of chance.
     """
-    at = np.array(first, np.float64)
-    velocity = 0.3 * spread * rng.standard_normal(at.shape)
+    parts, rngs = parts_of(config, len(costs)), rng.spawn(config.groups)
+
+    def run(part: int) -> tuple[Float, Float, Float]:
+        own = parts[part]
+        # Groups part, part + nparts, ... are numbered 0, 1, ... within the part.
+        groups = own % config.groups // len(parts)
+        return _search_part(
+            costs[part], np.array(first[own], np.float64), spread, groups, rngs[part :: len(parts)],
+            config,
+        )  # fmt: skip
+
+    if len(parts) == 1:
+        found = [run(0)]
+    else:
+        with ThreadPoolExecutor(len(parts)) as pool:
+            found = list(pool.map(run, range(len(parts))))
+    positions, best = np.empty(np.shape(first)), np.empty(len(first))
+    for own, (at, cost, _) in zip(parts, found, strict=True):
+        positions[own], best[own] = at, cost
+    order = np.argsort(best, kind="stable")
+    return Swarm(
+        positions=positions[order], costs=best[order], order=order,
+        history=np.min([history for _, _, history in found], axis=0),
+    )  # fmt: skip
+
+
+def _search_part(
+    cost: Cost, at: Float, spread: Float, group: NDArray[np.intp],
+    rngs: Sequence[np.random.Generator], config: SwarmConfig,
+) -> tuple[Float, Float, Float]:  # fmt: skip
+    """Best positions and costs of some groups, and their best cost after every generation."""
+    members = [np.flatnonzero(group == g) for g in range(len(rngs))]
+    velocity = np.empty(at.shape)
+    for rng, own in zip(rngs, members, strict=True):
+        velocity[own] = rng.standard_normal((len(own), len(spread)))
+    velocity *= 0.3 * spread
     best, best_cost = at.copy(), np.full(len(at), np.inf)
-    group = np.arange(len(at)) % config.groups
-    members = [np.flatnonzero(group == g) for g in range(config.groups)]
-    history = np.empty(config.generations)
+    history, pulls = np.empty(config.generations), np.empty((2, *at.shape))
+    leaders = np.empty(len(at), np.intp)
     for generation in range(config.generations):
         if generation > 0:
-            leaders = np.array([m[best_cost[m].argmin()] for m in members])[group]
-            own, shared = rng.random((2, *at.shape))
-            velocity += config.cognitive * own * (best - at)
-            velocity += config.social * shared * (best[leaders] - at)
+            for rng, own in zip(rngs, members, strict=True):
+                leaders[own] = own[best_cost[own].argmin()]
+                pulls[:, own] = rng.random((2, len(own), len(spread)))
+            velocity += config.cognitive * pulls[0] * (best - at)
+            velocity += config.social * pulls[1] * (best[leaders] - at)
             velocity *= config.constriction
             np.clip(velocity, -spread, spread, out=velocity)
-            at = at + velocity
-        found = cost(at)
+            at += velocity
+        found = cost(at, best_cost)
         better = found < best_cost
         best[better], best_cost[better] = at[better], found[better]
         history[generation] = best_cost.min()
-    order = np.argsort(best_cost, kind="stable")
-    return Swarm(positions=best[order], costs=best_cost[order], order=order, history=history)
+    return best, best_cost, history
 
 
 def draw_places(
@@ -161,44 +207,7 @@ def place_motions(motions: Float, places: Float, R_object_up: Float) -> Float:
             tilts about its x and y.
         R_object_up: Rotation from the frame that is upright in the world to the object's, (3, 3).
     """
-    turn, tilt = (part[:, None] for part in _place_turns(places, R_object_up))
-    return moved_poses(motions, turn @ tilt, (turn @ places[:, None, 1:4, None])[..., 0])
-
-
-def place_increments(bases: Float, increments: Float, places: Float, R_object_up: Float) -> Float:
-    """`place_motions` of motions told as increments from a pose each, in fewer steps.
-
-    Args:
-        bases: Poses with place and angles 0, shape (n, 28).
-        increments: Increments from them, shape (n, nframe, 27).
-        places: Placements, shape (n, 6).
-        R_object_up: Rotation from the upright frame to the object's, shape (3, 3).
-    """
-    turn, tilt = _place_turns(places, R_object_up)
-    placed = np.empty((*increments.shape[:2], bases.shape[1]))
-    points = np.einsum("nij,ntj->nti", tilt, increments[..., :3]) + places[:, None, 1:4]
-    placed[..., :3] = np.einsum("nij,ntj->nti", turn, points)
-    first = _quat_product(matrix_to_quat(turn @ tilt), bases[:, 3:7])
-    half = 0.5 * increments[..., 3:6]
-    angle = np.linalg.norm(half, axis=-1, keepdims=True)
-    spin = np.concatenate([np.cos(angle), np.sinc(angle / np.pi) * half], axis=-1)
-    placed[..., 3:7] = _quat_product(first[:, None], spin)
-    placed[..., 7:] = increments[..., 6:]
-    return placed
-
-
-def _place_turns(places: Float, R_object_up: Float) -> tuple[Float, Float]:
-    """Rotations by yaw, into the object's frame, and by the tilts, each (n, 3, 3)."""
     zero = np.zeros(len(places))
-    turn = R_object_up @ rotvec_to_matrix(np.stack([zero, zero, places[:, 0]], 1))
-    return turn, rotvec_to_matrix(np.stack([places[:, 4], places[:, 5], zero], 1))
-
-
-def _quat_product(first: Float, second: Float) -> Float:
-    """Quaternions of one turn after another, w first, shape (..., 4)."""
-    a, x, y, z = np.moveaxis(first, -1, 0)
-    b, u, v, w = np.moveaxis(second, -1, 0)
-    return np.stack([
-        a * b - x * u - y * v - z * w, a * u + x * b + y * w - z * v,
-        a * v - x * w + y * b + z * u, a * w + x * v - y * u + z * b,
-    ], axis=-1)  # fmt: skip
+    turn = R_object_up @ rotvec_to_matrix(np.stack([zero, zero, places[:, 0]], 1))[:, None]
+    tilt = rotvec_to_matrix(np.stack([places[:, 4], places[:, 5], zero], 1))[:, None]
+    return moved_poses(motions, turn @ tilt, (turn @ places[:, None, 1:4, None])[..., 0])

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handtrack.errors import InputError
-from handtrack.grasp.clearance import Surroundings, cleared
+from handtrack.grasp.clearance import Surroundings, clearance_points, cleared
 from handtrack.grasp.closing import ClosingConfig, ClosingGrasp, ClosingSynthesizer
+from handtrack.grasp.grip_device import GripDevice
 from handtrack.grasp.limits import check_task, reason_against
 from handtrack.grasp.mirror import (
     mirrored_field,
@@ -90,7 +91,12 @@ class GraspSynthesizer:
         self.database = database if database is not None else GraspDatabase.load()
         self.model = model if model is not None else GraspMotionModel.learn(self.database)
         self.config = config if config is not None else SynthesisConfig()
+        self._skin = clearance_points(self._right)
         self._device = device
+        self._grips = GripDevice(
+            self._right, list(self.model.grips.values()), device=device,
+            skin_points=self.config.closing.objective.skin_points,
+        )  # fmt: skip
 
     def plan(
         self,
@@ -150,7 +156,7 @@ class GraspSynthesizer:
         check_task(self._right, body, place=here, target=there, start=start)
         grasp = ClosingSynthesizer(
             self._right, body, distances, models, place=here, yaw=yaw, wish=wish,
-            config=self.config.closing, device=self._device,
+            config=self.config.closing, grips=self._grips,
         ).run(seed)  # fmt: skip
         if not grasp.forces.feasible:
             raise InputError(self._reason(grasp, body, here, distances))
@@ -177,7 +183,7 @@ class GraspSynthesizer:
         """All phases in the world at the recordings' frame rate."""
         closing = in_world(grasp.motion, here)
         way = reach(self.database, grasp.grip, start, closing, FRAME_RATE)
-        way = cleared(way, Surroundings(self._right, distances, here))
+        way = cleared(way, Surroundings(self._right, distances, here, skin=self._skin))
         path = transport(self.database, here, there, FRAME_RATE)
         path[:, 2] += _lift(path, self.config.clear_height)
         hands = [way[:-1], closing, carried(closing[-1], path)[1:]]
@@ -189,7 +195,7 @@ class GraspSynthesizer:
         names += ["manipulation"] * (len(path) - 1)
         if self.config.release:
             back = release(self.database, grasp.grip, hands[-1][-1], FRAME_RATE)
-            around = Surroundings(self._right, distances, there)
+            around = Surroundings(self._right, distances, there, skin=self._skin)
             back = cleared(back[::-1], around)[::-1][1:]
             hands.append(back)
             things.append(np.tile(there, (len(back), 1)))

@@ -9,13 +9,15 @@ follows the object as it lies in the hand, not as it was planned to lie.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from handtrack.grasp.reference import Stage
-from handtrack.hand.skeleton import finger_of_bone
+from handtrack.grasp.turns import inverse, product, rotated, rotation_vector
+from handtrack.hand.skeleton import FINGERS, finger_of_bone
 from handtrack.physics.scene import Scene
-from handtrack.transforms import matrix_to_rotvec, quat_to_matrix
 
 Float = NDArray[np.float64]
 
@@ -63,7 +65,9 @@ class SetPoints:
         """
         dt = self._scene.config.timestep
         giving = touching | self._planned if stage is Stage.TAKING else touching
-        chosen = np.isin(self._dof_fingers, [finger for finger in giving if finger >= 0])
+        gives = np.zeros(len(FINGERS) + 1, bool)  # last the palm, which never does
+        gives[[finger for finger in giving if finger >= 0]] = True
+        chosen = gives[self._dof_fingers]
         self.offset[chosen] -= (dt / YIELD_TIME) * (way + self.offset)[chosen]
 
     def let_go(self) -> None:
@@ -86,16 +90,17 @@ class SetPoints:
             steps: Time steps since the last call.
         """
         share = steps * self._scene.config.timestep / FOLLOW_TIME
-        quats = np.stack([palm[3:], thing[3:], palm_goal[3:], thing_goal[3:]])
-        hand, lies, wanted, goal = quat_to_matrix(quats)
+        hand, lies, wanted, goal = (
+            pose[3:].tolist() for pose in (palm, thing, palm_goal, thing_goal)
+        )
         # Where the palm must be for the object, lying as it does, to be at its goal.
-        swing = goal @ lies.T
-        place = thing_goal[:3] + swing @ (palm[:3] - thing[:3])
-        turn = matrix_to_rotvec(swing @ hand @ wanted.T)
+        swing = product(goal, inverse(lies))
+        place = thing_goal[:3] + rotated(swing, (palm[:3] - thing[:3]).tolist())
+        turn = rotation_vector(product(product(swing, hand), inverse(wanted)))
         self._shift += share * (place - palm_goal[:3] - self._shift)
         self._turn += share * (turn - self._turn)
         for value, most in ((self._shift, MOST_SHIFT), (self._turn, MOST_TURN)):
-            value *= min(1.0, most / max(float(np.linalg.norm(value)), 1e-12))
+            value *= min(1.0, most / max(math.hypot(*value), 1e-12))
 
     def shift(self, way: Float) -> None:
         """Add the departures to the way from the hand to the reference, shape (nhanddof,)."""

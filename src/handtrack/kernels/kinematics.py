@@ -28,6 +28,8 @@ def _pose_bones(
     """One row: bone frames in the camera frame and the world axes of the joint angles."""
     rowid = wp.tid()
     hand = row_hand_in[rowid]
+    if hand < 0:
+        return
     rotations_out[rowid, 0] = pose_rotation(pose_in, rowid)
     origins_out[rowid, 0] = pose_translation(pose_in, rowid)
     for bone in range(1, bone_parents_in.shape[0]):
@@ -67,7 +69,7 @@ def pose_bones(
         bone_parents: Parent of each bone, shape (nbone,); parents come before children.
         bone_angles: Angles that move each bone, outermost first, -1 for none, shape (nbone, 2).
         angle_axes: Axis of each angle in its bone's frame, shape (nhand, nangle) vec3.
-        row_hand: Hand of each row, shape (nrow,).
+        row_hand: Hand of each row, -1 for rows to leave out, shape (nrow,).
         pose: Poses, shape (nrow, nq).
         rotations: Out: R_camera_bone, shape (nrow, nbone) mat33.
         origins: Out: bone origins [m], camera frame, shape (nrow, nbone) vec3.

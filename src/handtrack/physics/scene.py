@@ -7,7 +7,7 @@ generalised forces of the hand's own degrees of freedom, and objects move by con
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,8 +50,9 @@ class SceneConfig:
     """Radius of resistance to rolling [m]; used with `contact_dims` 6."""
     contact_dims: int = 4
     """MuJoCo's condim: 3 slides, 4 twists as well (soft finger), 6 rolls as well."""
-    friction_stiffness: float = 10.0
-    """MuJoCo's impratio: how much stiffer friction is than the normal force; slows creep."""
+    friction_stiffness: float = 100.0
+    """MuJoCo's impratio: how much stiffer friction is than the normal force. With 10 a held
+    thing creeps out of the hand by centimetres in two seconds."""
     armature: float = 2e-5
     """Inertia added to each finger joint [kg m^2]: flesh and tendons that move along."""
     ccd_iterations: int = 50
@@ -73,7 +74,7 @@ class SceneConfig:
 
 
 _ROWS = np.arange(4)
-_PADDING = np.zeros(4)
+_BONE, _OBJECT = 1, 2
 
 
 @dataclass(slots=True)
@@ -84,6 +85,8 @@ class _Touching:
     points: Float
     frames: Float
     distances: Float
+    rows: NDArray[np.int32]
+    """First of each contact's rows in `forces`; negative where it is too far to count."""
     forces: Float
 
 
@@ -133,8 +136,12 @@ class Scene:
         # Geom -> bone, geom -> object; -1 where it is neither.
         self._geom_bone = np.where((geom_body >= 1) & (geom_body < first), geom_body - 1, -1)
         self._geom_object = np.where(geom_body >= first, geom_body - first, -1)
+        # For each object, what its contacts with the hand are between.
+        self._geom_kinds = [
+            _BONE * (self._geom_bone >= 0) + _OBJECT * (self._geom_object == k)
+            for k in range(len(self.objects))
+        ]
         self._mass = np.zeros((self.model.nv, self.model.nv))
-        self._turn = np.zeros((6, self.model.nv))
         self.reset()
 
     def _build(self, layout: Layout, table: bool, solids: tuple[BoneSolid, ...]) -> Any:
@@ -276,17 +283,19 @@ class Scene:
         """Generalised force of contacts and joint limits in the last step, shape (nhanddof,)."""
         return self._constraint
 
-    def point_jacobian(self, bone: int, point: ArrayLike) -> Float:
-        """Velocity and spin of a bone at a point by the hand's velocity, shape (6, nhanddof).
+    def hand_torque(self, wrenches: Iterable[tuple[int, Float, Float]]) -> Float:
+        """J^T f: what forces on the bones are for the hand's joints, shape (nhanddof,).
 
         Args:
-            bone: The bone.
-            point: A point in the world that moves with it [m], shape (3,).
+            wrenches: Of each the bone, the point in the world where it acts [m], shape (3,), and
+                force [N] and torque [N m] there, shape (6,).
         """
-        self._mujoco.mj_jac(
-            self.model, self.data, self._turn[:3], self._turn[3:], np.asarray(point), bone + 1
-        )
-        return self._turn[:, : self.layout.nv].copy()
+        total = np.zeros(self.model.nv)
+        for bone, point, wrench in wrenches:
+            self._mujoco.mj_applyFT(
+                self.model, self.data, wrench[:3], wrench[3:], point, bone + 1, total
+            )
+        return total[: self.layout.nv]
 
     def object_rotation(self, index: int) -> Float:
         """Rotation R_world_object, shape (3, 3), of an object."""
@@ -315,22 +324,32 @@ class Scene:
     def _note_contacts(self) -> None:
         data = self.data
         contact = data.contact
-        address = contact.efc_address
-        used = address >= 0
-        address = address[used]
-        # A contact of three dimensions has no fourth row: the padding is masked below.
-        force = np.concatenate([data.efc_force, _PADDING])
-        forces = force[address[:, None] + _ROWS]
-        forces[contact.dim[used] < 4, 3] = 0.0
         self._touching = _Touching(
-            contact.geom[used],
-            contact.pos[used],
-            contact.frame[used].reshape(-1, 3, 3),
-            contact.dist[used],
-            forces,
+            contact.geom.copy(),
+            contact.pos.copy(),
+            contact.frame.copy(),
+            contact.dist.copy(),
+            contact.efc_address.copy(),
+            data.efc_force.copy(),
         )
+        self._chosen: dict[int, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
         self._known: dict[int, Contacts] = {}
         self._constraint = data.qfrc_constraint[: self.layout.nv].copy()
+
+    def _pairs(self, index: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Contacts of the hand with an object: which, and which of the two geoms is the object."""
+        if index not in self._chosen:
+            seen = self._touching
+            kinds = self._geom_kinds[index][seen.geoms]
+            ours = (kinds[:, 0] + kinds[:, 1] == _BONE + _OBJECT) & (seen.rows >= 0)
+            chosen = ours.nonzero()[0]
+            self._chosen[index] = chosen, kinds[chosen, 1] // _OBJECT
+        return self._chosen[index]
+
+    def contact_depth(self, index: int) -> float:
+        """Deepest overlap of the hand with an object in the last step [m]; -inf without contact."""
+        chosen, _ = self._pairs(index)
+        return -float(self._touching.distances[chosen].min()) if len(chosen) else -np.inf
 
     def contacts(self, index: int) -> Contacts:
         """Contacts of the hand with an object in the last step."""
@@ -340,18 +359,20 @@ class Scene:
 
     def _contacts(self, index: int) -> Contacts:
         seen = self._touching
-        bones, things = self._geom_bone[seen.geoms], self._geom_object[seen.geoms]
-        second = (things[:, 1] == index) & (bones[:, 0] >= 0)
-        first = (things[:, 0] == index) & (bones[:, 1] >= 0)
-        chosen = first | second
-        sign = np.where(second[chosen], 1.0, -1.0)
-        frames, forces = seen.frames[chosen], seen.forces[chosen]
+        chosen, side = self._pairs(index)
+        # Frames and forces point from the first geom to the second.
+        frames = seen.frames[chosen].reshape(-1, 3, 3) * (2.0 * side - 1.0)[:, None, None]
+        forces = np.zeros((len(chosen), 4))
+        if len(chosen):
+            # Without torsion there is no fourth row, and after the last contact nothing at all.
+            rows = seen.rows[chosen, None] + _ROWS[: self.config.contact_dims]
+            forces[:, : rows.shape[1]] = seen.forces[rows]
         return Contacts(
-            bones=np.where(second, bones[:, 0], bones[:, 1])[chosen],
+            bones=self._geom_bone[seen.geoms[chosen, 1 - side]],
             points=seen.points[chosen],
-            normals=sign[:, None] * frames[:, 0],
+            normals=frames[:, 0],
             depths=-seen.distances[chosen],
-            forces=sign[:, None] * np.einsum("nki,nk->ni", frames, forces[:, :3]),
+            forces=np.matmul(forces[:, None, :3], frames)[:, 0],
             torsions=forces[:, 3],
         )
 
@@ -363,7 +384,8 @@ class Scene:
             besides: Objects that do not count.
         """
         seen = self._touching
-        things, bones = self._geom_object[seen.geoms], self._geom_bone[seen.geoms]
+        geoms = seen.geoms[seen.rows >= 0]
+        things, bones = self._geom_object[geoms], self._geom_bone[geoms]
         mine = (things == index).any(1) & ~np.isin(things, besides).any(1)
         return bool((mine & (bones < 0).all(1)).any())
 

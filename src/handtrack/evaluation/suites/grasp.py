@@ -164,8 +164,6 @@ def _stacking(
     starts = np.array([[*place, thing.rest_height, *level] for place in data["starts"]])
     goals = np.array([[*place, *level] for place in data["goals"]])
     goals[:, 2] += thing.rest_height
-    # Blocks whose turn never comes stay where they are.
-    away = np.linalg.norm(goals[:, :3] - starts[:, :3], axis=1)
     # The hand comes to every block from the same side: blocks that stand must not be in its way.
     homes = np.tile(planner.database.recordings[0].hand_poses[0], (len(starts), 1))
     homes[:, :3] += starts[:, :3]
@@ -180,17 +178,17 @@ def _stacking(
         if plans:
             plans[-1] = (number - 1, _going_to(attempt.plan.hand_poses[0], plans[-1][1], planner))
         plans.append((number, attempt.plan))
-    runs = simulate_sequence(
+    runs, ends = simulate_sequence(
         plans, [replace(thing, name=f"{thing.name}_{k}") for k in range(len(starts))], starts,
         hand=bench.hand, controller=controllers[0], solids=bench.solids,
     )  # fmt: skip
-    away[: len(runs)] = [run.placed_error for run in runs]
     trials = [
         Trial(attempt=attempt, run=run)
         for attempt, run in zip(attempts, [*runs, None][: len(attempts)], strict=True)
     ]
     case = case_of("stacking", controllers[0], trials)
-    # Here a block must lie where it belongs after the hand has let go of it.
+    # Here every block must lie where it belongs when the last one has been let go of.
+    away = np.linalg.norm(goals[:, :3] - ends[:, :3], axis=1)
     placed = {
         "off_mm": (1e3 * away).round(2),
         "frames": len(goals), "trials": len(goals), "position_error_mm": spread(1e3 * away),
