@@ -140,7 +140,8 @@ def a_run(**changes) -> GraspRun:
         "times": times, "hand_poses": np.zeros((400, 28)), "object_poses": things,
         "targets": things.copy(), "contact_forces": np.ones((400, 16)),
         "holding": times >= 2.0, "supported": times < 0.1, "contact_depth": 0.001,
-        "skin_depth": 0.002, "wall_time": 2.0, "driven_objects": False, "goal": Goal(), **changes,
+        "skin_depth": 0.002, "wall_time": 2.0, "force_times": np.zeros(0),
+        "driven_objects": False, "goal": Goal(), **changes,
     }  # fmt: skip
     return GraspRun(**given)
 

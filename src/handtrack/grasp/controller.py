@@ -9,6 +9,7 @@ The full controller also lets set points give way where the hand touches (`touch
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -125,6 +126,8 @@ class GraspController:
         self._patches: list[tuple[int, Float, Float]] = []
         self.grip = 0.0
         """How much of the contact forces is applied, 0 to 1."""
+        self.force_times: list[float] = []
+        """How long each solution for contact forces took [s]."""
 
     def torques(self, target: Target) -> Float:
         """Generalised forces for the next step, shape (nhanddof,)."""
@@ -211,10 +214,12 @@ class GraspController:
         least = planned * (config.forces.least_press + config.press_per_weight * self._weight)
         if (touching.normals @ touching.normals.T).min() > -0.3:
             least *= 0.0  # nothing opposes: pressing would only push the object away
+        started = time.perf_counter()
         forces, twists = contact_forces(
             touching.points - pose[:3], touching.normals, wrench, friction=self._friction,
             least_press=np.minimum(least, config.forces.most_press), config=config.forces,
         )  # fmt: skip
+        self.force_times.append(time.perf_counter() - started)
         wrenches = np.concatenate([forces, twists[:, None] * touching.normals], 1)
         self._patches += [
             (int(bone), point, self.grip * wrench)

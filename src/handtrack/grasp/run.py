@@ -54,6 +54,8 @@ class GraspRun:
     """Deepest place of the skin inside the object [m]; NaN where it was not measured."""
     wall_time: float
     """Time that simulation and control took [s]."""
+    force_times: Float
+    """How long each solution for contact forces took [s], shape (nsolution,)."""
     driven_objects: bool
     """Whether anything but contact and gravity acted on an object: must be False."""
     goal: Goal

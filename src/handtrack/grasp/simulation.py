@@ -171,7 +171,7 @@ def _carry_out(
         log.note(k)
     wall_time = time.perf_counter() - started
     field = distances or DistanceField.of(scene.objects[index])
-    return log.result(wall_time, config.goal, field)
+    return log.result(wall_time, np.array(control.force_times), config.goal, field)
 
 
 def _ball(ball: FallingBall) -> RigidObject:
@@ -216,7 +216,9 @@ class _Log:
         self._supported.append(self._scene.supported(self._index, besides=self._balls))
         self._driven |= self._scene.objects_driven()
 
-    def result(self, wall_time: float, goal: Goal, field: DistanceField) -> GraspRun:
+    def result(
+        self, wall_time: float, force_times: Float, goal: Goal, field: DistanceField
+    ) -> GraspRun:
         """The whole run."""
         steps = np.array(self._steps)
         hands, things = np.array(self._hands), np.array(self._things)
@@ -231,6 +233,7 @@ class _Log:
             contact_depth=self._depth,
             skin_depth=float(skin_depths(self._scene.hand, hands, field, things).max(initial=0.0)),
             wall_time=wall_time,
+            force_times=force_times,
             driven_objects=self._driven,
             goal=goal,
             burst=self._scene.burst,

@@ -196,6 +196,7 @@ def case_of(case: str, controller: str, trials: Sequence[Trial]) -> dict[str, An
             "penetration_mm": spread([1e3 * run.penetration for run in runs]),
             "lift_mm": spread([1e3 * run.lift for run in runs]),
             "realtime_factor": float(np.median([run.realtime_factor for run in runs])),
+            **_force_times(runs),
             "grips": dict(Counter(plan.grip for plan in plans)),
         }
         # A trial that never came to hold has no errors there.
@@ -206,6 +207,12 @@ def case_of(case: str, controller: str, trials: Sequence[Trial]) -> dict[str, An
                 "rotation_error_deg": spread([np.rad2deg(run.rotation_error) for run in held]),
             }
     return out
+
+
+def _force_times(runs: Sequence[GraspRun]) -> dict[str, dict[str, float]]:
+    """Time of the contact force program, of controllers that solve it."""
+    times = np.concatenate([run.force_times for run in runs])
+    return {"forces_ms": spread(1e3 * times)} if len(times) else {}
 
 
 def spread(values: ArrayLike) -> dict[str, float]:
