@@ -74,5 +74,6 @@ def test_a_quick_run_reports_success_depth_and_speed() -> None:
     assert np.isfinite(case["synthesis_ms"]["median"])
     bench_document("grasp", "cpu", result.cases)
     assert {target.value for target in result.targets} == {
-        "success_rate", "realtime_factor", "synthesis_ms.median",
+        "success_rate", "realtime_factor", "synthesis_ms.median", "penetration_mm.max",
+        "forces_ms.median",
     }  # fmt: skip
