@@ -17,6 +17,8 @@ from handtrack.hand.model import HandModel
 from handtrack.hand.side import mirror_pose
 from handtrack.objects.distance_field import DistanceField
 from handtrack.objects.library import load_object
+from handtrack.objects.rigid_object import RigidObject
+from handtrack.objects.shapes import box
 from handtrack.transforms import pose_difference, quat_to_matrix
 
 QUICK = SynthesisConfig(
@@ -124,3 +126,24 @@ def test_a_left_hand_does_what_a_right_hand_does_in_a_mirror(
     field = DistanceField.of(load_object("cube_50"), device="cpu")
     assert np.abs(field.distance(placed)).max() < 0.003
     np.testing.assert_allclose(image.hand_poses[-1], mirror_pose(plan.hand_poses[-1]), atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("changes", "asked", "reason"),
+    [
+        ({"mass": 40.0}, {}, "too heavy: it weighs 40.00 kg"),
+        ({"size": 0.3}, {}, "too big: 300 mm"),
+        ({}, {"target": (3.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0)}, "out of reach"),
+        ({}, {"place": (0.0, 0.0, 0.005, 1.0, 0.0, 0.0, 0.0)}, "starts 20 mm inside the table"),
+        ({}, {"target": (0.2, 0.0, -0.1, 1.0, 0.0, 0.0, 0.0)}, "inside the table"),
+    ],
+    ids=["too-heavy", "too-big", "out-of-reach", "starts-in-the-table", "goes-into-the-table"],
+)
+def test_what_no_hand_can_do_is_refused_with_its_reason(
+    planner: GraspSynthesizer, changes: dict, asked: dict, reason: str
+) -> None:
+    size = changes.get("size", 0.05)
+    cube = RigidObject.of_shape(box(size, size, size), name="cube", mass=changes.get("mass", 0.1))
+    with pytest.raises(InputError, match=reason) as caught:
+        planner.plan(cube, grip="tripod", **asked)
+    assert "\n" not in str(caught.value)

@@ -214,6 +214,20 @@ def test_an_unstable_simulation_says_so_and_leaves_no_file(
     assert "unstable" in caplog.text and not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("force", [np.nan, np.inf, 1e25])
+def test_what_is_not_finite_never_leaves_the_simulator(scene: Scene, force: float) -> None:
+    scene.apply(np.full(scene.layout.nv, force))
+    for _ in range(5):
+        scene.step()
+        seen = (
+            scene.hand_pose(), scene.hand_velocity(), scene.hand_bias(), scene.hand_inertia(),
+            scene.hand_constraint(), scene.object_pose(0), scene.object_velocity(0),
+            scene.contacts(0).forces, scene.contacts(0).patches().forces,
+        )  # fmt: skip
+        assert all(np.isfinite(values).all() for values in seen)
+    assert scene.burst
+
+
 def test_bad_input_is_refused(scene: Scene) -> None:
     with pytest.raises(InputError, match="28"):
         scene.set_hand(np.zeros(27))
