@@ -44,9 +44,17 @@ def test_a_grasp_is_carried_out_and_written(
 def test_a_mesh_file_is_planned_for_without_physics(tmp_path: Path) -> None:
     trimesh.creation.box((50, 50, 70)).export(tmp_path / "block.stl")
     words = ["--scale", 0.001, "--mass", 0.1, "--no-physics", "--grip", "tripod"]
-    assert grasp(tmp_path / "block.stl", *words, "--json", tmp_path / "g.json") == 0
+    words += ["--json", tmp_path / "g.json", "--mjcf", tmp_path / "scene.xml"]
+    assert grasp(tmp_path / "block.stl", *words) == 0
     facts = json.loads((tmp_path / "g.json").read_text())
     assert facts["mass_kg"] == 0.1 and facts["grip"] == "tripod" and "success" not in facts
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    assert data.body("object_0").xpos[2] == pytest.approx(0.035, abs=1e-3)
+    assert data.ncon > 2  # the hand and the table touch the block
 
 
 @pytest.mark.parametrize(

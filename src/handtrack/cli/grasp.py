@@ -62,6 +62,8 @@ class GraspOptions:
     """Write what came of it to this file."""
     video: Path | None = None
     """Write a video (.mp4, .webm, .gif) of what happens, or of the plan without physics."""
+    mjcf: Path | None = None
+    """Write the world with the hand closed on the object as MJCF, which MuJoCo's viewer opens."""
     device: str = "auto"
     """auto, cpu or cuda:0."""
     seed: int = 0
@@ -96,7 +98,7 @@ def run(options: GraspOptions) -> int:
         return 0
     if options.object is None:
         raise InputError("name an object or a mesh file; handtrack grasp --list names the objects")
-    for path in (options.plan, options.json, options.video):
+    for path in (options.plan, options.json, options.video, options.mjcf):
         if path is not None and not path.resolve().parent.is_dir():
             raise InputError(f"{path.resolve().parent} is no folder: create it first")
     if options.grip != "auto":
@@ -120,6 +122,8 @@ def run(options: GraspOptions) -> int:
     seconds = time.perf_counter() - started
     if options.plan is not None:
         plan.save(options.plan)
+    if options.mjcf is not None:
+        _write_mjcf(options.mjcf, hand, thing, plan)
     found = None
     if options.physics:
         from handtrack.grasp.simulation import simulate
@@ -232,6 +236,16 @@ def _write_json(path: Path, facts: dict[str, Any]) -> None:
     import json
 
     path.write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _write_mjcf(path: Path, hand: ShapedHand, thing: RigidObject, plan: GraspPlan) -> None:
+    """The simulated world in the frame of the grasp."""
+    from handtrack.physics.scene import Scene
+
+    scene = Scene(hand, [thing])
+    scene.set_hand(plan.hand_poses[plan.grasp_frame])
+    scene.set_object(0, plan.object_poses[plan.grasp_frame])
+    scene.save(path)
 
 
 def _write_video(
