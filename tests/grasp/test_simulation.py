@@ -128,6 +128,12 @@ def test_blocks_are_set_down_one_after_another(shared) -> None:
     assert len(runs) == 2 and abs(runs[1].object_poses[0, 0] - 0.25) < 1e-3
     np.testing.assert_allclose(ends[0], runs[0].object_poses[-1], atol=1e-3)
     np.testing.assert_allclose(ends[1], runs[1].object_poses[-1], atol=1e-6)
+    for number, run in enumerate(runs):
+        assert run.scene_poses.shape == (len(run.times), 2, 7)
+        np.testing.assert_array_equal(run.scene_poses[:, number], run.object_poses)
+    # While the first is carried the second waits where it stood, and it goes on from there.
+    assert np.ptp(runs[0].scene_poses[:, 1, :3], axis=0).max() < 1e-3
+    np.testing.assert_allclose(runs[1].scene_poses[0], runs[0].scene_poses[-1], atol=1e-3)
 
 
 def a_run(**changes) -> GraspRun:
@@ -138,7 +144,8 @@ def a_run(**changes) -> GraspRun:
     things[:, 1] = np.clip(times, 0.0, 1.0) * 0.2
     given = {
         "times": times, "hand_poses": np.zeros((400, 28)), "object_poses": things,
-        "targets": things.copy(), "contact_forces": np.ones((400, 16)),
+        "scene_poses": things[:, None], "targets": things.copy(),
+        "contact_forces": np.ones((400, 16)),
         "holding": times >= 2.0, "supported": times < 0.1, "contact_depth": 0.001,
         "skin_depth": 0.002, "wall_time": 2.0, "force_times": np.zeros(0),
         "driven_objects": False, "goal": Goal(), **changes,

@@ -40,6 +40,8 @@ class GraspRun:
     """Hand, shape (n, 28)."""
     object_poses: Float
     """Object, shape (n, 7)."""
+    scene_poses: Float
+    """Every object of the scene in its order, that one and balls among them, (n, nobject, 7)."""
     targets: Float
     """Where the reference has the object, shape (n, 7)."""
     contact_forces: Float

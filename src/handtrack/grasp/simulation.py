@@ -196,7 +196,7 @@ class _Log:
         self._interval, self._balls = interval, balls
         self._steps: list[int] = []
         self._hands: list[Float] = []
-        self._things: list[Float] = []
+        self._places: list[Float] = []
         self._forces: list[Float] = []
         self._supported: list[bool] = []
         self._depth = 0.0
@@ -211,7 +211,8 @@ class _Log:
         press = np.einsum("ni,ni->n", contacts.forces, contacts.normals)
         self._steps.append(step)
         self._hands.append(self._scene.hand_pose())
-        self._things.append(self._scene.object_pose(self._index))
+        count = len(self._scene.objects)
+        self._places.append(np.array([self._scene.object_pose(k) for k in range(count)]))
         self._forces.append(np.bincount(contacts.bones, press, NBONE).astype(np.float64))
         self._supported.append(self._scene.supported(self._index, besides=self._balls))
         self._driven |= self._scene.objects_driven()
@@ -221,11 +222,13 @@ class _Log:
     ) -> GraspRun:
         """The whole run."""
         steps = np.array(self._steps)
-        hands, things = np.array(self._hands), np.array(self._things)
+        hands, places = np.array(self._hands), np.array(self._places)
+        things = places[:, self._index]
         return GraspRun(
             times=self._path.times[steps],
             hand_poses=hands,
             object_poses=things,
+            scene_poses=places,
             targets=self._path.object_poses[steps],
             contact_forces=np.array(self._forces),
             holding=self._path.holding[steps],

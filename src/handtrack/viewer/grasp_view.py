@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,7 @@ from handtrack.transforms import quat_to_matrix
 from handtrack.viewer.depth_colours import Image
 from handtrack.viewer.pictures import FINGER_COLOURS, SKIN, check_panel
 from handtrack.viewer.shading import (
+    LIGHT,
     Colour,
     ShadedMesh,
     finger_tints,
@@ -34,11 +36,20 @@ TABLE_COLOURS: tuple[Colour, Colour] = ((196, 204, 208), (182, 190, 194))
 """Light and dark squares of the table, B G R."""
 THING_COLOURS: tuple[Colour, ...] = (
     (178, 114, 0), (0, 94, 213), (115, 158, 0), (167, 121, 204), (66, 228, 240),
+    (0, 159, 230), (233, 180, 86),
 )  # fmt: skip
 """Objects in their order, B G R; told apart by colour-blind readers too (Okabe and Ito)."""
 
 SQUARE, SQUARES = 0.05, 24
 """Edge of the table's squares [m], and how many there are along each side."""
+
+SHADOW, BLUR = 0.5, 0.008
+"""How much darker the table is in shadow; how soft its edge is, as a share of the view's width."""
+SLANT = 0.4
+"""Shadows fall so much as far aside as the light that shades would throw them: then they tell
+height, and stay in the picture."""
+SUNK = 0.01
+"""What is farther under the table casts no shadow [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +86,10 @@ class GraspStyle:
 
 
 class GraspPainter:
-    """Draws one hand, some objects and the table z = 0, seen from a fixed place."""
+    """Draws one hand, some objects and the table z = 0, seen from a fixed place.
+
+    What is above the table casts a soft shadow on it, straight below and a little aside.
+    """
 
     def __init__(
         self,
@@ -124,6 +138,10 @@ class GraspPainter:
             hidden: wp.array(self._faces[hidden:], dtype=int, device=where)
             for hidden in (0, len(hand.faces))
         }
+        self._table_face = len(self._faces) - len(table) // 3
+        self._casters = wp.array(self._faces[: self._table_face], dtype=int, device=where)
+        light = self._R_eye_world.T @ LIGHT
+        self._shift = SLANT * light[:2] / light[2]
         self._vertices = wp.zeros((1, len(self._tints)), dtype=wp.vec3, device=where)
         self._keys = wp.zeros((1, height, width), dtype=wp.int64, device=where)
         self._depth = wp.zeros((1, height, width), dtype=float, device=where)
@@ -150,34 +168,68 @@ class GraspPainter:
                 f"poses have shapes {pose.shape} and {places.shape}; expected (28,) and "
                 f"({len(self._corners)}, 7)"
             )
-        parts = [self._seen(skin(self.hand, pose))]
+        parts = [skin(self.hand, pose)]
         for corners, place in zip(self._corners, places, strict=True):
-            parts.append(self._seen(corners @ quat_to_matrix(place[3:]).T + place[:3]))
-        vertices = np.concatenate([*parts, self._table])
+            parts.append(corners @ quat_to_matrix(place[3:]).T + place[:3])
+        casters = np.concatenate(parts)
+        bright = 1.0 - SHADOW * self._shadow(casters)
+        vertices = np.concatenate([self._seen(casters), self._table])
         self._vertices.assign(vertices[None].astype(np.float32))
-        mesh = self._lit(vertices, 0, None)
+        mesh = self._lit(vertices, 0, None, bright)
         # The forearm's stub fades out: what is behind it is drawn without the hand.
         faint = mesh.opacity < 1.0
-        behind = self._lit(vertices, len(self.hand.faces), faint)
+        behind = self._lit(vertices, len(self.hand.faces), faint, bright)
         picture = np.full(mesh.picture.shape, BACKGROUND, np.float64)
         for layer in (behind, mesh):
             cover = layer.opacity[..., None]
             picture = picture * (1.0 - cover) + layer.picture * cover
         return np.rint(picture).astype(np.uint8)
 
-    def _lit(self, vertices: Float, hidden: int, where: NDArray[np.bool_] | None) -> ShadedMesh:
-        """The mesh without its first `hidden` triangles, in all pixels or some."""
-        render_keys(
-            self._triangles[hidden], self._row, self._cameras, self._vertices, keys=self._keys
-        )
-        unpack_depth(self._keys, depth=self._depth)
-        depth = self._depth.numpy()[0]
+    def _shadow(self, points: Float) -> Float:
+        """Where the table lies in shadow, 0 to 1, shape (height, width).
+
+        Args:
+            points: Vertices of hand and objects in the world [m], shape (n, 3).
+        """
+        flat = np.zeros_like(points)
+        flat[:, :2] = points[:, :2] - points[:, 2:] * self._shift
+        # Flattened meshes: of a closed one, the faces towards the light cover the whole shadow.
+        seen = self._seen(flat)
+        seen[points[:, 2] < -SUNK] = 0.0  # in the eye itself: not drawn
+        self._vertices.assign(np.concatenate([seen, self._table])[None].astype(np.float32))
+        _, items = self._drawn(self._casters)
+        strength = self._opacity[self._faces].mean(axis=1)
+        shade = np.where(items >= 0, strength[items], 0.0)
+        return cv2.GaussianBlur(shade, (0, 0), BLUR * self.style.panel[0]).astype(np.float64)
+
+    def _lit(
+        self, vertices: Float, hidden: int, where: NDArray[np.bool_] | None, bright: Float
+    ) -> ShadedMesh:
+        """The mesh without its first `hidden` triangles, in all pixels or some.
+
+        Args:
+            vertices: Everything in the eye's frame [m], shape (nvert, 3).
+            hidden: So many triangles are left out.
+            where: Pixels that are wanted; None: all.
+            bright: Brightness of the table, 0 to 1, shape (height, width).
+        """
+        depth, items = self._drawn(self._triangles[hidden])
         if where is not None:
             depth = np.where(where, depth, np.float32(0.0))
-        items = np.where(depth > 0, key_item_numpy(self._keys.numpy()[0]), -1)
-        return light_surface(
+            items = np.where(where, items, -1)
+        mesh = light_surface(
             depth, items, vertices, self._faces[hidden:], self.camera, self._tints, self._opacity
         )
+        table = items >= self._table_face - hidden
+        mesh.picture[table] *= bright[table][:, None]
+        return mesh
+
+    def _drawn(self, triangles: wp.array) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """Depth [m], 0 = nothing, and number of the triangle, -1 = none, of every pixel."""
+        render_keys(triangles, self._row, self._cameras, self._vertices, keys=self._keys)
+        unpack_depth(self._keys, depth=self._depth)
+        depth = self._depth.numpy()[0]
+        return depth, np.where(depth > 0, key_item_numpy(self._keys.numpy()[0]), -1)
 
     def _seen(self, points: Float) -> Float:
         """Points of the world in the eye's frame [m], shape (n, 3)."""

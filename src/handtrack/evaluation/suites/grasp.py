@@ -12,7 +12,6 @@ from itertools import chain, product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handtrack.errors import InputError
 from handtrack.evaluation.suites.grasp_trials import GraspBench, Trial, case_of, spread
@@ -20,11 +19,9 @@ from handtrack.evaluation.suites.suite import SuiteResult, SuiteSettings, chosen
 from handtrack.grasp.closing import ClosingConfig
 from handtrack.grasp.controller import VARIANTS, Variant
 from handtrack.grasp.objective import ObjectiveConfig
-from handtrack.grasp.plan import GraspPlan
-from handtrack.grasp.recording import FRAME_RATE
+from handtrack.grasp.sequence import joined, waiting_pose
 from handtrack.grasp.simulation import FallingBall, simulate_sequence
-from handtrack.grasp.synthesis import GraspSynthesizer, SynthesisConfig
-from handtrack.grasp.trajectory import reach
+from handtrack.grasp.synthesis import SynthesisConfig
 
 Cases = list[dict[str, Any]]
 
@@ -165,22 +162,20 @@ def _stacking(
     goals = np.array([[*place, *level] for place in data["goals"]])
     goals[:, 2] += thing.rest_height
     # The hand comes to every block from the same side: blocks that stand must not be in its way.
-    homes = np.tile(planner.database.recordings[0].hand_poses[0], (len(starts), 1))
-    homes[:, :3] += starts[:, :3]
     plans, attempts = [], []
-    for number, (start, goal, home) in enumerate(zip(starts, goals, homes, strict=True)):
+    for number, (start, goal) in enumerate(zip(starts, goals, strict=True)):
         attempt = bench.attempt(
-            data["object"], number, planner=planner, place=start, target=goal, hand=home
-        )
+            data["object"], number, planner=planner, place=start, target=goal,
+            hand=waiting_pose(planner, start),
+        )  # fmt: skip
         attempts.append(attempt)
         if attempt.plan is None:
             break
-        if plans:
-            plans[-1] = (number - 1, _going_to(attempt.plan.hand_poses[0], plans[-1][1], planner))
         plans.append((number, attempt.plan))
+    things = [replace(thing, name=f"{thing.name}_{k}") for k in range(len(starts))]
     runs, ends = simulate_sequence(
-        plans, [replace(thing, name=f"{thing.name}_{k}") for k in range(len(starts))], starts,
-        hand=bench.hand, controller=controllers[0], solids=bench.solids,
+        joined(planner, plans), things, starts, hand=bench.hand, controller=controllers[0],
+        solids=bench.solids,
     )  # fmt: skip
     trials = [
         Trial(attempt=attempt, run=run)
@@ -195,24 +190,6 @@ def _stacking(
         "success_rate": float((away <= data["within"]).mean()),
     }  # fmt: skip
     return [case | placed]
-
-
-def _going_to(pose: NDArray[np.float64], plan: GraspPlan, planner: GraspSynthesizer) -> GraspPlan:
-    """A plan after which the hand goes to where the next one starts."""
-    way = reach(
-        planner.database, plan.grip, plan.hand_poses[-1], np.stack([pose, pose]), FRAME_RATE
-    )
-    # Up and over what stands there.
-    share = np.linspace(0.0, 1.0, len(way))
-    way[:, 2] += 0.12 * 16.0 * share**2 * (1.0 - share) ** 2
-    more = len(way) - 1
-    return replace(
-        plan,
-        times=np.concatenate([plan.times, plan.times[-1] + np.arange(1, more + 1) / FRAME_RATE]),
-        hand_poses=np.concatenate([plan.hand_poses, way[1:]]),
-        object_poses=np.concatenate([plan.object_poses, np.tile(plan.object_poses[-1], (more, 1))]),
-        phases=np.concatenate([plan.phases, np.full(more, "releasing")]),
-    )
 
 
 SECTIONS: dict[
