@@ -7,7 +7,7 @@ can carry the object.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -102,8 +102,8 @@ class ClosingGrasp:
     """Whether it can carry the object, and how."""
     firm: bool
     """Whether it can with less friction, too."""
-    depth: float
-    """Deepest overlap of the grasping pose with object or table [m]."""
+    clear: bool
+    """Whether the hand is neither too deep in object or table nor too near to other things."""
     costs: dict[str, float]
     """Weighted terms of the objective."""
 
@@ -126,6 +126,7 @@ class ClosingSynthesizer:
         place: Float,
         yaw: float | None = None,
         wish: Wish | None = None,
+        room: Callable[[Float], Float] | None = None,
         config: ClosingConfig | None = None,
         device: str | None = None,
         grips: GripDevice | None = None,
@@ -140,6 +141,8 @@ class ClosingSynthesizer:
             place: Pose of the object in the world, shape (7,); the table is z = 0.
             yaw: Wanted direction from the hand to the object about the vertical [rad]; None: any.
             wish: What the user asks for.
+            room: Distance from other things [m], shape (n,), of a hand that holds the object, whose
+                poses in the object's frame are of shape (n, 28).
             config: Settings.
             device: "cpu", "cuda:N" or None for the best there is.
             grips: The same hand with these models and perhaps others, uploaded before.
@@ -150,14 +153,14 @@ class ClosingSynthesizer:
             skin_points = self.config.objective.skin_points
             grips = GripDevice(hand, models, skin_points=skin_points, device=device)
         self.models, self.pads, self.yaw = grips.models, grips.pads, yaw
-        self._grips = grips
+        self._grips, self._room = grips, room
         self._chosen = np.array([grips.number(model.grip) for model in models])
         self._turn = quat_to_matrix(place[3:]).T  # from the upright frame to the object's
         self._table = np.append(self._turn @ [0.0, 0.0, 1.0], -place[2])
         self._width = grips.motions.nweight
         self._objective = GraspObjective(
             grips, distances, friction=body.friction, table=self._table, wish=wish,
-            config=self.config.objective,
+            room=room, config=self.config.objective,
         )  # fmt: skip
 
     def run(self, seed: int = 0) -> ClosingGrasp:
@@ -168,18 +171,17 @@ class ClosingSynthesizer:
             for grasp in self._finished(*self._search(rng)):
                 if best is None or self._rank(grasp) < self._rank(best):
                     best = grasp
-                if grasp.firm and grasp.depth <= self.config.most_depth:
+                if grasp.firm and grasp.clear:
                     return grasp
             assert best is not None
-            if best.forces.feasible and best.depth <= self.config.most_depth:
+            if best.forces.feasible and best.clear:
                 break
         assert best is not None
         return best
 
     def _rank(self, grasp: ClosingGrasp) -> tuple[bool, bool, bool, float]:
         cost = self._by_contact(grasp.cost, len(grasp.points))
-        deep = grasp.depth > self.config.most_depth
-        return not grasp.forces.feasible, deep, not grasp.firm, float(cost)
+        return not grasp.forces.feasible, not grasp.clear, not grasp.firm, float(cost)
 
     def _fair(self, costs: Float, grips: NDArray[np.intp]) -> Float:
         """Costs that compare between grip modes, shape (n,), of the objective's, shape (n,)."""
@@ -274,18 +276,18 @@ class ClosingSynthesizer:
             for motion, pose in zip(motions, pulled.poses, strict=True)
         ]
         scores = self._objective(np.stack(blended), grips, density)
-        deep = pulled.depths > config.most_depth
-        for k in np.lexsort([self._fair(scores.total, grips), deep]).tolist():
+        clear = pulled.depths <= config.most_depth
+        if self._room is not None:
+            clear &= self._room(pulled.poses) >= 0.5 * config.objective.clearance
+        for k in np.lexsort([self._fair(scores.total, grips), ~clear]).tolist():
             grip, model = int(grips[k]), self.models[grips[k]]
             weights = positions[k, : model.nweight]
             _, motion = model.motion(weights[: model.nshape], weights[model.nshape :])
             placed = place_motions(motion[None], positions[k : k + 1, self._width :], self._turn)
             motion = blend_correction(placed[0], pulled.poses[k])
-            yield self._grasp(k, grip, motion, scores, float(pulled.depths[k]))
+            yield self._grasp(k, grip, motion, scores, bool(clear[k]))
 
-    def _grasp(
-        self, k: int, grip: int, motion: Float, scores: Scores, depth: float
-    ) -> ClosingGrasp:
+    def _grasp(self, k: int, grip: int, motion: Float, scores: Scores, clear: bool) -> ClosingGrasp:
         count = len(self.pads[grip].bones)
         points, normals = scores.points[k, :count], scores.normals[k, :count]
         up = self._turn @ [0.0, 0.0, 1.0]
@@ -299,6 +301,6 @@ class ClosingSynthesizer:
                 break
         return ClosingGrasp(
             grip=self.models[grip].grip, motion=motion, pads=self.pads[grip], points=points,
-            normals=normals, forces=forces, firm=firm, depth=depth,
+            normals=normals, forces=forces, firm=firm, clear=clear,
             costs={name: float(values[k]) for name, values in scores.terms.items()},
         )  # fmt: skip

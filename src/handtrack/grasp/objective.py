@@ -66,6 +66,8 @@ class ObjectiveConfig:
     """Graded part of the penalty [1/mm]."""
     tolerance: float = 0.0015
     """Depth in the grasp that is no collision yet: fingers are soft [m]."""
+    clearance: float = 0.008
+    """Room that a grasp leaves to other things [m]: fingers open to let go."""
     cone_share: float = 0.25
     """Share of the friction that contacts may need."""
     skin_points: int = 320
@@ -123,6 +125,7 @@ class GraspObjective:
         friction: float,
         table: ArrayLike = NO_TABLE,
         wish: Wish | None = None,
+        room: Callable[[Float], Float] | None = None,
         config: ObjectiveConfig | None = None,
     ) -> None:
         """Upload the object.
@@ -133,8 +136,11 @@ class GraspObjective:
             friction: Sliding friction of the object.
             table: Up direction and height of the table along it [m], object's frame, shape (4,).
             wish: What the user asks for.
+            room: Distance from other things [m], shape (n,), of a hand that holds the object, whose
+                poses in the object's frame are of shape (n, 28).
             config: Weights.
         """
+        self._room = room
         self.config = config if config is not None else ObjectiveConfig()
         self.wish = wish if wish is not None else Wish()
         self._grips, self._task = grips, _task(self.config, friction)
@@ -157,6 +163,7 @@ class GraspObjective:
             prior, collision, contact, quality = batch.terms.T
             points, normals, depths = batch.points, batch.normals, batch.depths
         control = self.config.control * self._departure(points, motions[:, -1])
+        collision = collision + self._crowding(motions[:, -1])
         values = (prior, control, collision, contact, quality)
         return Scores(
             terms=dict(zip(TERMS, values, strict=True)), total=np.sum(values, axis=0),
@@ -195,6 +202,8 @@ class GraspObjective:
             total = batch.search(positions, bounds)
             if wished:
                 total += self.config.control * self._departure(batch.points, batch.grasping)
+            if self._room is not None:
+                total += self._crowding(batch.grasping)
             return total
 
         return cost
@@ -224,6 +233,15 @@ class GraspObjective:
             )
             away += 100.0 * np.linalg.norm(off, axis=-1).mean(1)
         return away
+
+    def _crowding(self, poses: Float) -> Float:
+        """Cost of being too near to other things in the grasp: as much as of entering an object."""
+        if self._room is None:
+            return np.zeros(len(poses))
+        config = self.config
+        short = np.maximum(config.clearance - self._room(poses), 0.0)
+        depth = config.depth_slope * 1e3 * short
+        return config.collision * (config.penalty * (short > 0.0) + depth)
 
 
 def _task(config: ObjectiveConfig, friction: float) -> Any:

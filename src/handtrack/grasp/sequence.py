@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handtrack.errors import InputError
+from handtrack.grasp.obstacles import Obstacle
 from handtrack.grasp.plan import GraspPlan
 from handtrack.grasp.recording import FRAME_RATE
 from handtrack.grasp.synthesis import GraspSynthesizer
@@ -48,8 +49,8 @@ def plan_sequence(
 ) -> list[tuple[int, GraspPlan]]:
     """Plan moves one after the other, for `grasp.simulation.simulate_sequence`.
 
-    The hand comes to every object from the same side. Only the object that is moved and the table
-    are looked at: leave room around the others.
+    The hand comes to every object from the same side. Where it takes one and where it sets it down
+    it keeps clear of the others; on its way it does not look at them.
 
     Args:
         planner: Makes each plan; `SynthesisConfig(release=True)` lets go of every object.
@@ -71,6 +72,8 @@ def plan_sequence(
         raise InputError(f"starts have shape {places.shape}; expected ({len(things)}, 7)")
     if distances is not None and len(distances) != len(things):
         raise InputError(f"there are {len(distances)} distance fields for {len(things)} objects")
+    if distances is None:
+        distances = [DistanceField.of(thing, device=planner.device) for thing in things]
     plans: list[tuple[int, GraspPlan]] = []
     for number, move in enumerate(moves):
         k = move.index
@@ -80,13 +83,28 @@ def plan_sequence(
             plan = planner.plan(
                 things[k], grip=move.grip, start=waiting_pose(planner, places[k]),
                 place=places[k], target=move.target, seed=move.seed,
-                distances=None if distances is None else distances[k],
+                obstacles=others(distances, places, k), distances=distances[k],
             )  # fmt: skip
         except InputError as error:
             raise InputError(f"move {number}: {error}") from error
         plans.append((k, plan))
         places[k] = plan.object_poses[-1]
     return joined(planner, plans, end=end)
+
+
+def others(distances: Sequence[DistanceField], places: Float, index: int) -> list[Obstacle]:
+    """All objects but one as obstacles.
+
+    Args:
+        distances: Signed distances of every object.
+        places: Where they are, shape (nobject, 7).
+        index: The one.
+    """
+    return [
+        Obstacle(distances=field, place=place)
+        for k, (field, place) in enumerate(zip(distances, places, strict=True))
+        if k != index
+    ]
 
 
 def waiting_pose(planner: GraspSynthesizer, place: ArrayLike) -> Float:

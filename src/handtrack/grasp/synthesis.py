@@ -6,6 +6,7 @@ nearest recordings, edited to fit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +26,7 @@ from handtrack.grasp.mirror import (
 )
 from handtrack.grasp.motion_model import GraspMotionModel, GripModel
 from handtrack.grasp.objective import Wish
+from handtrack.grasp.obstacles import Obstacle, room_beside
 from handtrack.grasp.plan import GraspPlan
 from handtrack.grasp.recording import FRAME_RATE, GraspDatabase, grasp_yaw
 from handtrack.grasp.trajectory import carried, reach, release, transport
@@ -92,7 +94,7 @@ class GraspSynthesizer:
         self.model = model if model is not None else GraspMotionModel.learn(self.database)
         self.config = config if config is not None else SynthesisConfig()
         self._skin = clearance_points(self._right)
-        self._device = device
+        self.device = device
         self._grips = GripDevice(
             self._right, list(self.model.grips.values()), device=device,
             skin_points=self.config.closing.objective.skin_points,
@@ -107,6 +109,7 @@ class GraspSynthesizer:
         place: ArrayLike | None = None,
         target: ArrayLike | None = None,
         wish: Wish | None = None,
+        obstacles: Sequence[Obstacle] = (),
         distances: DistanceField | None = None,
         seed: int = 0,
     ) -> GraspPlan:
@@ -120,6 +123,8 @@ class GraspSynthesizer:
                 default.
             target: Where to bring it, shape (7,); aside and up by default.
             wish: What else the user asks for.
+            obstacles: Other things, that the hand keeps clear of where it takes the object and
+                where it brings it; not on its way.
             distances: Signed distances of the object; measured when absent.
             seed: Seed of the search.
 
@@ -135,28 +140,38 @@ class GraspSynthesizer:
                 raise InputError(f"start has shape {start.shape}; expected 28 finite numbers")
         models = list(self.model.grips.values()) if grip == "auto" else [self.model[grip]]
         if distances is None:
-            distances = DistanceField.of(body, device=self._device)
+            distances = DistanceField.of(body, device=self.device)
         if self.hand.side == "right":
-            return self._plan(body, models, start, here, there, wish, distances, seed)
+            return self._plan(body, models, start, here, there, wish, obstacles, distances, seed)
         image = self._plan(
             mirrored_object(body), models, None if start is None else mirror_pose(start),
             mirrored_object_poses(here), mirrored_object_poses(there),
-            None if wish is None else mirrored_wish(wish), mirrored_field(distances), seed,
+            None if wish is None else mirrored_wish(wish), [o.mirrored() for o in obstacles],
+            mirrored_field(distances), seed,
         )  # fmt: skip
         return mirrored_plan(image)
 
     def _plan(
         self, body: RigidObject, models: list[GripModel], start: Float | None, here: Float,
-        there: Float, wish: Wish | None, distances: DistanceField, seed: int,
+        there: Float, wish: Wish | None, obstacles: Sequence[Obstacle], distances: DistanceField,
+        seed: int,
     ) -> GraspPlan:  # fmt: skip
         """A right hand's plan."""
+
+        def room(poses: Float) -> Float:
+            both = [
+                room_beside(self._right, self._skin, in_world(poses, at), obstacles)
+                for at in (here, there)
+            ]
+            return np.minimum(*both)
+
         yaw = None
         if start is not None:
             yaw = grasp_yaw(start, here[:3])
         check_task(self._right, body, place=here, target=there, start=start)
         grasp = ClosingSynthesizer(
             self._right, body, distances, models, place=here, yaw=yaw, wish=wish,
-            config=self.config.closing, grips=self._grips,
+            room=room if obstacles else None, config=self.config.closing, grips=self._grips,
         ).run(seed)  # fmt: skip
         if not grasp.forces.feasible:
             raise InputError(self._reason(grasp, body, here, distances))

@@ -19,7 +19,7 @@ from handtrack.evaluation.suites.suite import SuiteResult, SuiteSettings, chosen
 from handtrack.grasp.closing import ClosingConfig
 from handtrack.grasp.controller import VARIANTS, Variant
 from handtrack.grasp.objective import ObjectiveConfig
-from handtrack.grasp.sequence import joined, waiting_pose
+from handtrack.grasp.sequence import joined, others, waiting_pose
 from handtrack.grasp.simulation import FallingBall, simulate_sequence
 from handtrack.grasp.synthesis import SynthesisConfig
 
@@ -162,12 +162,14 @@ def _stacking(
     goals = np.array([[*place, *level] for place in data["goals"]])
     goals[:, 2] += thing.rest_height
     # The hand comes to every block from the same side: blocks that stand must not be in its way.
-    plans, attempts = [], []
+    plans, attempts, places = [], [], starts.copy()
+    fields = [bench.distances(data["object"])] * len(starts)
     for number, (start, goal) in enumerate(zip(starts, goals, strict=True)):
         attempt = bench.attempt(
             data["object"], number, planner=planner, place=start, target=goal,
-            hand=waiting_pose(planner, start),
+            hand=waiting_pose(planner, start), obstacles=others(fields, places, number),
         )  # fmt: skip
+        places[number] = goal
         attempts.append(attempt)
         if attempt.plan is None:
             break

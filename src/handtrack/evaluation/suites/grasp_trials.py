@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from handtrack.errors import InputError
 from handtrack.evaluation.suites.suite import SuiteSettings
 from handtrack.grasp.controller import Variant
+from handtrack.grasp.obstacles import Obstacle
 from handtrack.grasp.plan import GraspPlan
 from handtrack.grasp.run import GraspRun
 from handtrack.grasp.simulation import FallingBall, simulate
@@ -86,6 +87,10 @@ class GraspBench:
         """An object of the library."""
         return self._known(name)[0]
 
+    def distances(self, name: str) -> DistanceField:
+        """Its signed distances."""
+        return self._known(name)[1]
+
     def attempt(
         self,
         name: str,
@@ -96,6 +101,7 @@ class GraspBench:
         place: Float | None = None,
         target: Float | None = None,
         hand: Float | None = None,
+        obstacles: Sequence[Obstacle] = (),
     ) -> Attempt:
         """Synthesise a grasp; the same one is not synthesised twice.
 
@@ -107,6 +113,7 @@ class GraspBench:
             place: Pose of the object, shape (7,); turned about the vertical at the origin without.
             target: Where to bring it, shape (7,); beside and above without.
             hand: Where the hand starts, shape (28,).
+            obstacles: What else is there.
         """
         default = planner is None and grip is None and place is None and target is None
         key = (name, number) if default and hand is None else None
@@ -124,7 +131,7 @@ class GraspBench:
         try:
             plan = (planner or self._planner).plan(
                 thing, grip=grip or self._grip, start=hand, place=place, target=target,
-                distances=distances, seed=int(rng.integers(2**31)),
+                obstacles=obstacles, distances=distances, seed=int(rng.integers(2**31)),
             )  # fmt: skip
         except InputError as error:
             reason = str(error)
