@@ -57,7 +57,9 @@ class ClosingConfig:
     candidates: int = 8
     """Particles of the last generation that are pulled and tested."""
     attempts: int = 3
-    """Searches at most, until a grasp is feasible."""
+    """Searches at most, until a grasp is feasible, clear and good."""
+    good_cost: float = 5.5
+    """Cost per contact up to which a grasp is good: most are at half of it."""
     frames: int = 8
     """Frames of a motion that are scored (thesis Table III.2)."""
     example_share: float = 0.5
@@ -172,9 +174,10 @@ class ClosingSynthesizer:
                 if best is None or self._rank(grasp) < self._rank(best):
                     best = grasp
                 if grasp.firm and grasp.clear:
-                    return grasp
+                    break  # those that follow cost more
             assert best is not None
-            if best.forces.feasible and best.clear:
+            infeasible, crowded, _, cost = self._rank(best)
+            if not infeasible and not crowded and cost <= self.config.good_cost:
                 break
         assert best is not None
         return best
