@@ -22,7 +22,7 @@ def test_the_cases_name_known_objects_grips_controllers_and_weights() -> None:
     assert len(data["objects"]) >= 15
     named = [
         *data["objects"], *data["ablation"]["objects"], *data["controllers"]["objects"],
-        data["grips"]["object"], data["stacking"]["object"],
+        *data["hands"]["objects"], data["grips"]["object"], data["stacking"]["object"],
         *(change["object"] for change in data["robustness"]["changes"]),
         *(change.get("instead", change["object"]) for change in data["robustness"]["changes"]),
     ]  # fmt: skip

@@ -22,6 +22,8 @@ from handtrack.grasp.objective import ObjectiveConfig
 from handtrack.grasp.sequence import joined, others, waiting_pose
 from handtrack.grasp.simulation import FallingBall, simulate_sequence
 from handtrack.grasp.synthesis import SynthesisConfig
+from handtrack.hand.model import HandModel
+from handtrack.objects.rigid_object import RigidObject
 
 Cases = list[dict[str, Any]]
 
@@ -95,10 +97,30 @@ def _grips(
     return cases
 
 
+def _hands(
+    bench: GraspBench, data: Mapping[str, Any], controllers: list[Variant], settings: SuiteSettings
+) -> Cases:
+    """Other people's hands, every other one a left hand; each one takes every object once."""
+    model, trials = HandModel.load(), []
+    numbers = range(int(data["count"]))
+    for number in settings.progress(numbers, len(numbers), "hands"):
+        rng = np.random.default_rng([settings.seed, int(data["seed"]), number])
+        hand = model.shaped(model.sample_shape(rng), side=("right", "left")[number % 2])
+        other = bench.with_hand(hand)
+        trials += [
+            other.trial(other.attempt(name, number), controllers[0]) for name in data["objects"]
+        ]
+    return [case_of("hands", controllers[0], trials)]
+
+
 def _ablation(
     bench: GraspBench, data: Mapping[str, Any], controllers: list[Variant], settings: SuiteSettings
 ) -> Cases:
-    """Terms of the objective left out, one after the other (thesis III.8.1)."""
+    """Terms of the objective left out, one after the other (thesis III.8.1).
+
+    Every plan is carried out in the world it was made for and in those of `worlds`, which tell
+    grasps apart that all hold where nothing is unexpected.
+    """
     cases = []
     tasks = list(product(data["objects"], range(int(data["trials"]))))
     for switch in data["switches"]:
@@ -106,11 +128,17 @@ def _ablation(
         planner = None
         if switch["objective"]:
             planner = bench.synthesizer(SynthesisConfig(closing=ClosingConfig(objective=objective)))
-        trials = [
-            bench.trial(bench.attempt(name, number, planner=planner), controllers[0])
-            for name, number in settings.progress(tasks, len(tasks), switch["name"])
+        found: dict[str, list[Trial]] = {}
+        for name, number in settings.progress(tasks, len(tasks), switch["name"]):
+            attempt = bench.attempt(name, number, planner=planner)
+            for world in [{"name": "ablation"}, *data.get("worlds", [])]:
+                thing = _changed(bench, name, world)
+                trial = bench.trial(attempt, controllers[0], thing=thing)
+                found.setdefault(world["name"], []).append(trial)
+        cases += [
+            case_of(f"{world}/{switch['name']}", controllers[0], trials)
+            for world, trials in found.items()
         ]
-        cases.append(case_of(f"ablation/{switch['name']}", controllers[0], trials))
     return cases
 
 
@@ -135,11 +163,7 @@ def _robustness(
     """Plans carried out in a world other than they were made for (thesis III.8.3)."""
     cases, changes = [], data["changes"]
     for change in settings.progress(changes, len(changes), "robustness"):
-        thing = bench.thing(change.get("instead", change["object"]))
-        if "mass_times" in change:
-            thing = replace(thing, mass=thing.mass * change["mass_times"])
-        if "friction" in change:
-            thing = replace(thing, friction=change["friction"])
+        thing = _changed(bench, change.get("instead", change["object"]), change)
         balls = [FallingBall(mass=change["ball_mass"])] if "ball_mass" in change else []
         attempts = [bench.attempt(change["object"], n) for n in range(int(data["trials"]))]
         trials = [
@@ -147,6 +171,16 @@ def _robustness(
         ]
         cases.append(case_of(f"robustness/{change['name']}", controllers[0], trials))
     return cases
+
+
+def _changed(bench: GraspBench, name: str, change: Mapping[str, Any]) -> RigidObject:
+    """An object with the mass and friction that it has in another world."""
+    thing = bench.thing(name)
+    if "mass_times" in change:
+        thing = replace(thing, mass=thing.mass * change["mass_times"])
+    if "friction" in change:
+        thing = replace(thing, friction=change["friction"])
+    return thing
 
 
 def _stacking(
@@ -199,6 +233,7 @@ SECTIONS: dict[
 ] = {
     "objects": _objects,
     "grips": _grips,
+    "hands": _hands,
     "ablation": _ablation,
     "controllers": _controllers,
     "robustness": _robustness,

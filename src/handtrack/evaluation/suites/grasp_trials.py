@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -19,7 +20,7 @@ from handtrack.grasp.plan import GraspPlan
 from handtrack.grasp.run import GraspRun
 from handtrack.grasp.simulation import FallingBall, simulate
 from handtrack.grasp.synthesis import GraspSynthesizer, SynthesisConfig
-from handtrack.hand.model import HandModel
+from handtrack.hand.model import HandModel, ShapedHand
 from handtrack.objects.distance_field import DistanceField
 from handtrack.objects.library import load_object
 from handtrack.objects.rigid_object import RigidObject
@@ -74,7 +75,17 @@ class GraspBench:
         self._things: dict[str, tuple[RigidObject, DistanceField]] = {}
         self._grip = data["grip"]
         self._planner = GraspSynthesizer(self.hand, device=self._device)
-        self.attempt(data["objects"][0], -1, grip=self._grip)
+        self._warm_up = str(data["objects"][0])
+        self.attempt(self._warm_up, -1, grip=self._grip)
+
+    def with_hand(self, hand: ShapedHand) -> GraspBench:
+        """The same bench for another hand; objects and what was learnt are shared."""
+        bench = copy.copy(self)
+        bench.hand, bench.solids = hand, bone_solids(hand)
+        bench._attempts, bench._trials = {}, {}
+        bench._planner = bench.synthesizer(self._planner.config)
+        bench.attempt(bench._warm_up, -1, grip=bench._grip)
+        return bench
 
     def synthesizer(self, config: SynthesisConfig) -> GraspSynthesizer:
         """A synthesizer of these settings, which learns nothing anew."""
@@ -160,11 +171,11 @@ class GraspBench:
         """
         if attempt.plan is None:
             return Trial(attempt=attempt, run=None)
-        usual = attempt.key is not None and thing is None and not balls
+        there = self.thing(attempt.name) if thing is None else thing
+        usual = attempt.key is not None and there is self.thing(attempt.name) and not balls
         key = (*attempt.key, controller) if usual and attempt.key is not None else None
         if key is not None and key in self._trials:
             return self._trials[key]
-        there = self.thing(attempt.name) if thing is None else thing
         run = simulate(
             attempt.plan, there, hand=self.hand, controller=controller, balls=balls,
             distances=self._known(there.name)[1], solids=self.solids,
