@@ -9,6 +9,7 @@ import pytest
 
 from handtrack.errors import InputError
 from handtrack.grasp.closing import ClosingConfig, ClosingGrasp, ClosingSynthesizer
+from handtrack.grasp.feasibility import feasible
 from handtrack.grasp.motion_model import GraspMotionModel
 from handtrack.grasp.objective import Wish
 from handtrack.grasp.recording import grasp_yaw
@@ -63,7 +64,7 @@ def test_a_grasp_of_a_cube_can_carry_it_and_does_not_enter_it(
     hand: ShapedHand, cube_field: DistanceField, tripod: ClosingGrasp
 ) -> None:
     assert tripod.grip == "tripod"
-    assert tripod.forces.feasible
+    assert tripod.feasible
     contacts = BonePoints(bones=tripod.pads.bones, offsets=tripod.pads.points)
     gaps = cube_field.distance(contacts.place(hand, tripod.motion[-1]))
     assert np.abs(gaps).max() < 0.003
@@ -115,10 +116,56 @@ def test_without_a_grip_one_of_all_is_chosen(
 ) -> None:
     found = close(hand, model, cube_field, *model.grips)
     assert found.grip in model.grips
-    assert found.forces.feasible
+    assert found.feasible
     assert set(found.costs) == {"prior", "control", "collision", "contact", "quality"}
+
+
+def test_a_grasp_tells_with_how_much_friction_it_can_carry(tripod: ClosingGrasp) -> None:
+    body = load_object("cube_50")
+    up = np.array([0.0, 0.0, 1.0])
+
+    def carries(share: float) -> bool:
+        return feasible(
+            tripod.points, tripod.normals, friction=share * body.friction,
+            mass=QUICK.load * body.mass, gravity=-9.81 * up,
+        ).feasible  # fmt: skip
+
+    shares = QUICK.friction_shares
+    assert tripod.friction_share in shares
+    assert carries(tripod.friction_share)
+    assert not any(carries(share) for share in shares if share < tripod.friction_share)
+
+
+def test_of_clear_grasps_the_one_that_needs_least_friction_is_taken(
+    hand: ShapedHand, model: GraspMotionModel, cube_field: DistanceField
+) -> None:
+    # With one share all feasible grasps are alike, and cost decides.
+    alike = replace(QUICK, friction_shares=(0.6,), candidates=8)
+    ranked = replace(QUICK, friction_shares=(0.05, 0.1, 0.15, 0.2, 0.3, 0.6), candidates=8)
+    body = load_object("cube_50")
+
+    def need(config: ClosingConfig, seed: int) -> float:
+        found = close(hand, model, cube_field, "tripod", config=config, seed=seed)
+        return next(
+            (
+                friction
+                for friction in np.arange(0.02, 0.8, 0.02)
+                if feasible(
+                    found.points, found.normals, friction=friction, mass=QUICK.load * body.mass
+                ).feasible
+            ),
+            np.inf,
+        )
+
+    needs = np.array([[need(config, seed) for config in (alike, ranked)] for seed in range(3)])
+    assert np.isfinite(needs).all()
+    assert (needs[:, 1] <= needs[:, 0] + 0.041).all()
+    assert needs[:, 1].mean() < needs[:, 0].mean()
 
 
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(InputError, match="frames is 1"):
         ClosingConfig(frames=1)
+    for shares in ((), (0.4, 0.4), (0.0, 0.5), (0.5, 1.1)):
+        with pytest.raises(InputError, match="friction_shares"):
+            ClosingConfig(friction_shares=shares)

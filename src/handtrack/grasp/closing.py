@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handtrack.errors import InputError
 from handtrack.grasp.contact_ik import ContactIkConfig, blend_correction, pull_contacts
-from handtrack.grasp.feasibility import FeasibilityResult, feasible
+from handtrack.grasp.feasibility import feasible
 from handtrack.grasp.grip_device import GripDevice
 from handtrack.grasp.motion_model import GripModel
 from handtrack.grasp.objective import GraspObjective, ObjectiveConfig, Scores, Wish
@@ -64,10 +64,10 @@ class ClosingConfig:
     """Frames of a motion that are scored (thesis Table III.2)."""
     example_share: float = 0.5
     """Share of the first swarm that starts near recordings rather than drawn from the mixture."""
-    friction_share: float = 0.6
-    """Share of the friction that the test of feasibility allows."""
-    firm_share: float = 0.4
-    """Share that a firm grasp does with; those that need more are taken where none is firm."""
+    friction_shares: tuple[float, ...] = (0.25, 0.35, 0.45, 0.6)
+    """Shares of the friction that grasps are tested with, rising. One that does with less is taken
+    before one that needs more; a good one does with the first, and one that needs more than the
+    last is not feasible."""
     load: float = 1.5
     """What a grasp must carry, in weights of the object: it is to be moved."""
     few_contacts: float = 2.0
@@ -84,6 +84,11 @@ class ClosingConfig:
         for name, least in (("screened", 1), ("candidates", 1), ("attempts", 1), ("frames", 2)):
             if getattr(self, name) < least:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least {least}")
+        shares = np.array(self.friction_shares)
+        if not (len(shares) and shares[0] > 0 and shares[-1] <= 1 and (np.diff(shares) > 0).all()):
+            raise InputError(
+                f"friction_shares is {self.friction_shares}; expected rising in (0, 1]"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,14 +105,18 @@ class ClosingGrasp:
     """Where on the object [m], shape (ncontact, 3)."""
     normals: Float
     """Outward normals there, shape (ncontact, 3)."""
-    forces: FeasibilityResult
-    """Whether it can carry the object, and how."""
-    firm: bool
-    """Whether it can with less friction, too."""
+    friction_share: float
+    """Least of the tested shares of the friction with which it can carry the object; infinite where
+    none does."""
     clear: bool
     """Whether the hand is neither too deep in object or table nor too near to other things."""
     costs: dict[str, float]
     """Weighted terms of the objective."""
+
+    @property
+    def feasible(self) -> bool:
+        """Whether it can carry the object."""
+        return bool(np.isfinite(self.friction_share))
 
     @property
     def cost(self) -> float:
@@ -173,18 +182,18 @@ class ClosingSynthesizer:
             for grasp in self._finished(*self._search(rng)):
                 if best is None or self._rank(grasp) < self._rank(best):
                     best = grasp
-                if grasp.firm and grasp.clear:
+                if grasp.clear and grasp.friction_share <= self.config.friction_shares[0]:
                     break  # those that follow cost more
             assert best is not None
-            infeasible, crowded, _, cost = self._rank(best)
-            if not infeasible and not crowded and cost <= self.config.good_cost:
+            good = False, False, self.config.friction_shares[0], self.config.good_cost
+            if self._rank(best) <= good:
                 break
         assert best is not None
         return best
 
-    def _rank(self, grasp: ClosingGrasp) -> tuple[bool, bool, bool, float]:
+    def _rank(self, grasp: ClosingGrasp) -> tuple[bool, bool, float, float]:
         cost = self._by_contact(grasp.cost, len(grasp.points))
-        return not grasp.forces.feasible, not grasp.clear, not grasp.firm, float(cost)
+        return not grasp.feasible, not grasp.clear, grasp.friction_share, float(cost)
 
     def _fair(self, costs: Float, grips: NDArray[np.intp]) -> Float:
         """Costs that compare between grip modes, shape (n,), of the objective's, shape (n,)."""
@@ -294,16 +303,16 @@ class ClosingSynthesizer:
         count = len(self.pads[grip].bones)
         points, normals = scores.points[k, :count], scores.normals[k, :count]
         up = self._turn @ [0.0, 0.0, 1.0]
-        for share in (self.config.firm_share, self.config.friction_share):
-            forces = feasible(
+
+        def enough(share: float) -> bool:
+            return feasible(
                 points, normals, friction=share * self.body.friction,
                 mass=self.config.load * self.body.mass, gravity=-9.81 * up,
-            )  # fmt: skip
-            firm = forces.feasible and share == self.config.firm_share
-            if forces.feasible:
-                break
+            ).feasible  # fmt: skip
+
+        need = next((share for share in self.config.friction_shares if enough(share)), np.inf)
         return ClosingGrasp(
             grip=self.models[grip].grip, motion=motion, pads=self.pads[grip], points=points,
-            normals=normals, forces=forces, firm=firm, clear=clear,
+            normals=normals, friction_share=need, clear=clear,
             costs={name: float(values[k]) for name, values in scores.terms.items()},
         )  # fmt: skip

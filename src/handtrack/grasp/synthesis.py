@@ -173,7 +173,7 @@ class GraspSynthesizer:
             self._right, body, distances, models, place=here, yaw=yaw, wish=wish,
             room=room if obstacles else None, config=self.config.closing, grips=self._grips,
         ).run(seed)  # fmt: skip
-        if not grasp.forces.feasible:
+        if not grasp.feasible:
             raise InputError(self._reason(grasp, body, here, distances))
         return self._compose(grasp, start, here, there, distances)
 
@@ -187,7 +187,7 @@ class GraspSynthesizer:
         )
         return reason_against(
             body, grasp.points, grasp.normals, distances.distance(placed),
-            friction=closing.friction_share * body.friction, load=closing.load,
+            friction=closing.friction_shares[-1] * body.friction, load=closing.load,
             gravity=-9.81 * quat_to_matrix(here[3:])[2],
         )  # fmt: skip
 
@@ -226,7 +226,7 @@ class GraspSynthesizer:
             contact_local=grasp.pads.points,
             contact_points=grasp.points,
             contact_normals=grasp.normals,
-            feasible=grasp.forces.feasible,
+            feasible=grasp.feasible,
             costs=grasp.costs,
         )
 
