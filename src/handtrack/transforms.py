@@ -49,6 +49,17 @@ def matrix_to_rotvec(matrix: ArrayLike) -> Float:
     return rotvec.reshape(*m.shape[:-2], 3)
 
 
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)
+
+
+def cross_matrix(vectors: Float) -> Float:
+    """Matrices M, shape (..., 3, 3), with b @ M = a x b for vectors a, shape (..., 3).
+
+    np.cross takes ten times as long over a few rows.
+    """
+    return (vectors @ _CROSS).reshape(*vectors.shape, 3)
+
+
 def apply_increment(pose: ArrayLike, increment: ArrayLike) -> Float:
     """Move poses along the manifold: translation and angles add, rotation is q * exp(w).
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linprog
+from scipy.optimize import linprog, nnls
 
 from handtrack.errors import InputError
 from handtrack.grasp.contact_forces import pyramid
@@ -93,6 +93,9 @@ def feasible(
     unit = max(float(np.linalg.norm(weight)), 1e-9)
     balance = np.concatenate([edges.T, np.cross(arms, edges).T / size])
     wanted = np.concatenate([-weight / unit, np.zeros(3)])
+    # Whether any forces do, however large, is told ten times faster: most tests end here.
+    if nnls(balance, wanted)[1] > 1e-6:
+        return FeasibilityResult(feasible=False, normal_forces=np.full(count, np.nan))
     limits = {}
     if largest_force is not None:
         limits = {

@@ -21,7 +21,7 @@ from handtrack.hand.skeleton import (
     TIP_KEYPOINTS,
     finger_of_bone,
 )
-from handtrack.transforms import apply_increment, matrix_to_quat
+from handtrack.transforms import apply_increment, cross_matrix, matrix_to_quat
 
 Float = NDArray[np.float64]
 
@@ -68,7 +68,11 @@ def _moves() -> NDArray[np.bool_]:
     return moves
 
 
-_MOVES = _moves()
+_TURNS = np.concatenate([np.ones((NBONE, 3), bool), _moves()], axis=1)
+"""Which of the palm's three turns and of the joint angles move which bone, shape (16, 24)."""
+
+_OUTER = np.flatnonzero(np.diff(ANGLE_BONES) == 0)
+"""Angles that turn outside of the one that follows, on the same bone."""
 
 
 def point_jacobian(hand: ShapedHand, points: BonePoints, pose: ArrayLike) -> tuple[Float, Float]:
@@ -107,40 +111,34 @@ def jacobian_of_frames(
     Returns:
         Derivatives, shape (n, npoint, 3, 27).
     """
+    # A turn about an axis a through o moves a point p by a x p - a x o, which is linear in p.
+    # Palm frame turn w: d p = R (w x (p - t)), so its axes are R's columns through t.
+    axes = np.concatenate(
+        [np.swapaxes(rotations[:, 0], 1, 2), _angle_axes(hand, rotations, pose)], axis=1
+    )
+    centres = np.concatenate(
+        [np.repeat(origins[:, :1], 3, axis=1), origins[:, list(ANGLE_BONES)]], axis=1
+    )
+    turn = np.moveaxis(cross_matrix(axes), 1, 3)  # (n, from, to, axis)
+    still = np.einsum("nkf,nftk->ntk", centres, turn)
+    moved = (placed @ turn.reshape(len(turn), 3, -1)).reshape(*placed.shape, -1)
     jacobian = np.zeros((*placed.shape, NV))
     jacobian[..., :3] = np.eye(3)
-    # Palm frame turn w: d p = R (w x (p - t)), so column k is R e_k x (p - t).
-    arm = placed - origins[:, :1]
-    columns = np.swapaxes(rotations[:, 0], 1, 2)
-    jacobian[..., 3:6] = np.swapaxes(np.cross(columns[:, None], arm[:, :, None]), 2, 3)
-    axes = _angle_axes(hand, rotations, pose)
-    lever = placed[:, :, None] - origins[:, None, list(ANGLE_BONES)]
-    spin = np.cross(axes[:, None], lever) * _MOVES[bones][..., None]
-    jacobian[..., 6:] = np.swapaxes(spin, 2, 3)
+    np.multiply(moved - still[:, None], _TURNS[bones][..., None, :], out=jacobian[..., 3:])
     return jacobian
 
 
 def _angle_axes(hand: ShapedHand, rotations: Float, pose: Float) -> Float:
     """World axes of the joint angles, shape (n, 21, 3); inner angles do not turn outer axes."""
-    axes = np.empty((len(pose), NANGLE, 3))
-    for angle, bone in enumerate(ANGLE_BONES):
-        axis = rotations[:, bone] @ hand.angle_axes[angle]
-        inner = angle + 1
-        if inner < NANGLE and ANGLE_BONES[inner] == bone:
-            # Undo the inner rotation: R = R_outer Rot(inner), and Rot(-inner) acts in the bone
-            # frame.
-            from_inner = _rotate(
-                hand.angle_axes[inner], -pose[:, 7 + inner], hand.angle_axes[angle]
-            )
-            axis = (rotations[:, bone] @ from_inner[..., None])[..., 0]
-        axes[:, angle] = axis
-    return axes
-
-
-def _rotate(axis: Float, angles: Float, vector: Float) -> Float:
-    """Rodrigues' rotation of one vector about one axis by many angles, shape (n, 3)."""
-    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    return vector * c + np.cross(axis, vector) * s + axis * (axis @ vector) * (1 - c)
+    own = np.broadcast_to(hand.angle_axes, (len(pose), NANGLE, 3)).copy()
+    # Undo the inner rotation: R = R_outer Rot(inner), and Rot(-inner) acts in the bone frame.
+    inner, outer = hand.angle_axes[_OUTER + 1], hand.angle_axes[_OUTER]
+    angle = -pose[:, 7 + 1 + _OUTER, None]
+    along = inner * (inner * outer).sum(1, keepdims=True)
+    own[:, _OUTER] = (
+        along + np.cos(angle) * (outer - along) + np.sin(angle) * np.cross(inner, outer)
+    )
+    return (rotations[:, list(ANGLE_BONES)] @ own[..., None])[..., 0]
 
 
 def initial_pose(hand: ShapedHand, targets: ArrayLike) -> Float:

@@ -112,10 +112,10 @@ class DistanceField:
         Central differences over two cells; of length one except near edges and middle planes.
         """
         points = np.asarray(points, np.float64)
-        steps = self.spacing * np.eye(3)
-        return np.stack(
-            [self.distance(points + step) - self.distance(points - step) for step in steps], -1
-        ) / (2.0 * self.spacing)
+        step = self.spacing * np.eye(3)
+        around = points[..., None, None, :] + np.stack([step, -step])
+        ahead, behind = np.moveaxis(self.distance(around), -2, 0)
+        return (ahead - behind) / (2.0 * self.spacing)
 
     def normal(self, points: ArrayLike) -> Float:
         """Unit directions away from the surface, shape (..., 3), at points [m], shape (..., 3)."""

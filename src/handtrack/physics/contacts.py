@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
+from handtrack.transforms import cross_matrix
 
-# A row of three times this, as a matrix, takes b to the cross product of the row and b: np.cross
-# takes ten times as long over a few rows.
-_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)
+Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +44,7 @@ class Contacts:
         normals, points = share @ self.normals, share @ self.points
         normals /= np.maximum(np.sqrt((normals * normals).sum(1, keepdims=True)), 1e-9)
         arms = self.points - own.T @ points
-        moments = np.matmul(self.forces[:, None], (arms @ _CROSS).reshape(-1, 3, 3))[:, 0]
+        moments = np.matmul(self.forces[:, None], cross_matrix(arms))[:, 0]
         return Contacts(
             bones=bones,
             points=points,
