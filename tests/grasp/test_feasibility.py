@@ -88,3 +88,17 @@ def test_unusable_input_is_refused() -> None:
         feasible(points, normals, friction=-1, mass=0.1)
     with pytest.raises(InputError, match="shape"):
         feasible(points, normals[:1], friction=0.5, mass=0.1)
+
+
+def test_more_friction_holds_whatever_less_friction_holds(rng: np.random.Generator) -> None:
+    frictions, first = np.linspace(0.05, 1.2, 24), []
+    for _ in range(12):
+        normals = rng.standard_normal((4, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        held = np.array([
+            feasible(0.03 * normals, normals, friction=friction, mass=0.1, largest_force=None).feasible
+            for friction in frictions
+        ])  # fmt: skip
+        assert (np.diff(held.astype(int)) >= 0).all()
+        first.append(frictions[held.argmax()] if held.any() else np.inf)
+    assert len(set(first)) > 4  # it is the friction that decides

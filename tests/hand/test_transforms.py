@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from handtrack.transforms import (
     apply_increment,
+    cross_matrix,
     matrix_to_quat,
     matrix_to_rotvec,
     pose_difference,
@@ -135,3 +136,10 @@ def test_one_pose_takes_many_increments() -> None:
     np.testing.assert_allclose(
         apply_increment(pose, steps), [apply_increment(pose, step) for step in steps]
     )
+
+
+def test_rows_times_a_cross_matrix_are_cross_products() -> None:
+    rng = np.random.default_rng(3)
+    a, b = rng.standard_normal((2, 4, 5, 3))
+    found = (b[..., None, :] @ cross_matrix(a))[..., 0, :]
+    np.testing.assert_allclose(found, np.cross(a, b), atol=ROUNDING)
