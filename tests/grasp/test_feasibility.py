@@ -96,8 +96,8 @@ def test_more_friction_holds_whatever_less_friction_holds(rng: np.random.Generat
         normals = rng.standard_normal((4, 3))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         held = np.array([
-            feasible(0.03 * normals, normals, friction=friction, mass=0.1, largest_force=None).feasible
-            for friction in frictions
+            feasible(0.03 * normals, normals, friction=mu, mass=0.1, largest_force=None).feasible
+            for mu in frictions
         ])  # fmt: skip
         assert (np.diff(held.astype(int)) >= 0).all()
         first.append(frictions[held.argmax()] if held.any() else np.inf)
