@@ -60,6 +60,14 @@ def cross_matrix(vectors: Float) -> Float:
     return (vectors @ _CROSS).reshape(*vectors.shape, 3)
 
 
+def _quat_product(a: Float, b: Float) -> Float:
+    """Products of quaternions w x y z, shape (..., 4)."""
+    w, u = a[..., :1], a[..., 1:]
+    real = w * b[..., :1] - (u * b[..., 1:]).sum(-1, keepdims=True)
+    crossed = (b[..., None, 1:] @ cross_matrix(u))[..., 0, :]
+    return np.concatenate([real, w * b[..., 1:] + b[..., :1] * u + crossed], -1)
+
+
 def apply_increment(pose: ArrayLike, increment: ArrayLike) -> Float:
     """Move poses along the manifold: translation and angles add, rotation is q * exp(w).
 
@@ -72,10 +80,14 @@ def apply_increment(pose: ArrayLike, increment: ArrayLike) -> Float:
         New poses, shape (..., 28), with unit quaternions.
     """
     pose, dq = np.asarray(pose, np.float64), np.asarray(increment, np.float64)
-    rotation = quat_to_matrix(pose[..., 3:7]) @ rotvec_to_matrix(dq[..., 3:6])
-    return np.concatenate(
-        [pose[..., :3] + dq[..., :3], matrix_to_quat(rotation), pose[..., 7:] + dq[..., 6:]], -1
-    )
+    turn = dq[..., 3:6]
+    half = 0.5 * np.sqrt((turn * turn).sum(-1, keepdims=True))
+    # sin(half) / half, which is sinc's, stays exact where the turn is none.
+    exp = np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * turn], -1)
+    quat = _quat_product(pose[..., 3:7], exp)
+    quat = quat * np.where(quat[..., :1] < 0.0, -1.0, 1.0)
+    quat /= np.sqrt((quat * quat).sum(-1, keepdims=True))
+    return np.concatenate([pose[..., :3] + dq[..., :3], quat, pose[..., 7:] + dq[..., 6:]], -1)
 
 
 def moved_poses(poses: ArrayLike, rotation: ArrayLike, translation: ArrayLike = 0.0) -> Float:
@@ -99,7 +111,13 @@ def moved_poses(poses: ArrayLike, rotation: ArrayLike, translation: ArrayLike = 
 def pose_difference(pose: ArrayLike, reference: ArrayLike) -> Float:
     """Increment from `reference` to `pose`, shape (..., 27): the inverse of `apply_increment`."""
     a, b = np.asarray(pose, np.float64), np.asarray(reference, np.float64)
-    relative = np.swapaxes(quat_to_matrix(b[..., 3:7]), -1, -2) @ quat_to_matrix(a[..., 3:7])
-    return np.concatenate(
-        [a[..., :3] - b[..., :3], matrix_to_rotvec(relative), a[..., 7:] - b[..., 7:]], -1
+    back = b[..., 3:7] * np.array([1.0, -1.0, -1.0, -1.0])
+    relative = _quat_product(back, a[..., 3:7])
+    relative = relative * np.where(relative[..., :1] < 0.0, -1.0, 1.0)
+    sine = np.sqrt((relative[..., 1:] ** 2).sum(-1, keepdims=True))
+    half = np.arctan2(sine, relative[..., :1])
+    # half / sin(half) is one where the turn is none, and quaternions need not be normalised.
+    turn = (
+        2.0 * relative[..., 1:] * np.where(sine > 0.0, half / np.where(sine > 0.0, sine, 1.0), 0.0)
     )
+    return np.concatenate([a[..., :3] - b[..., :3], turn, a[..., 7:] - b[..., 7:]], -1)

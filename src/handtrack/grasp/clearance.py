@@ -60,7 +60,14 @@ class Surroundings:
 
     def room(self, poses: ArrayLike) -> Float:
         """Least distance of the skin from object and table [m], shape (n,), of poses (n, 28)."""
-        points = self._skin.place(self._hand, poses)
+        return self.room_of(self.skin(poses))
+
+    def skin(self, poses: ArrayLike) -> Float:
+        """The skin that is looked at [m], world, shape (n, npoint, 3), of poses (n, 28)."""
+        return self._skin.place(self._hand, poses)
+
+    def room_of(self, points: Float) -> Float:
+        """Least distance of such skin from object and table [m], shape (n,)."""
         local = (points - self._place[:3]) @ quat_to_matrix(self._place[3:])
         return np.minimum(self._field.distance(local), points[..., 2]).min(1)
 
@@ -93,12 +100,12 @@ def cleared(poses: ArrayLike, around: Surroundings) -> Float:
     shape = minimum_jerk(share / RAMP) * minimum_jerk((1.0 - share) / RAMP)
     back, up = around.away(way[-1]), np.array([0.0, 0.0, 1.0])
     wanted = np.minimum(MARGIN, around.room(way[[0, -1]]).min())
-    best, most = way, -np.inf
+    best, most, skin = way, -np.inf, around.skin(way)
     for bend in BENDS:
         for direction in (up, 0.7 * (up + back), back):
-            tried = way.copy()
-            tried[:, :3] += bend * shape[:, None] * direction
-            room = float(around.room(tried).min())
+            tried, moved = way.copy(), bend * shape[:, None] * direction
+            tried[:, :3] += moved
+            room = float(around.room_of(skin + moved[:, None]).min())
             if room > most:
                 best, most = tried, room
             # The ends themselves are no clearer than wanted; skin points lie on a grid of floats.

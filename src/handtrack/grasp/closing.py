@@ -283,11 +283,8 @@ class ClosingSynthesizer:
             self.hand, motions[:, -1], [self.pads[grip] for grip in grips], self.distances,
             table=self._table, config=config.ik,
         )  # fmt: skip
-        blended = [
-            blend_correction(motion, pose)
-            for motion, pose in zip(motions, pulled.poses, strict=True)
-        ]
-        scores = self._objective(np.stack(blended), grips, density)
+        blended = blend_correction(motions, pulled.poses)
+        scores = self._objective(blended, grips, density)
         clear = pulled.depths <= config.most_depth
         if self._room is not None:
             clear &= self._room(pulled.poses) >= 0.5 * config.objective.clearance

@@ -125,18 +125,19 @@ def pull_contacts(
 
 
 def blend_correction(motion: ArrayLike, final: ArrayLike, *, start: float = 0.3) -> Float:
-    """A closing motion whose last frame becomes `final`, its start staying, shape (nframe, 28).
+    """Closing motions whose last frame becomes `final`, their start staying, (..., nframe, 28).
 
     Args:
-        motion: Hand poses, shape (nframe, 28).
-        final: The corrected last pose, shape (28,).
+        motion: Hand poses, shape (..., nframe, 28).
+        final: The corrected last poses, shape (..., 28).
         start: Share of the motion after which the correction sets in.
     """
     motion = np.asarray(motion, np.float64)
-    change = pose_difference(final, motion[-1])
-    share = np.clip((np.linspace(0.0, 1.0, len(motion)) - start) / (1.0 - start), 0.0, 1.0)
+    change = pose_difference(final, motion[..., -1, :])
+    times = np.linspace(0.0, 1.0, motion.shape[-2])
+    share = np.clip((times - start) / (1.0 - start), 0.0, 1.0)
     eased = share**2 * (3.0 - 2.0 * share)
-    return apply_increment(motion, eased[:, None] * change)
+    return apply_increment(motion, eased[:, None] * change[..., None, :])
 
 
 class _Task:

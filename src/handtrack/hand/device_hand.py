@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from handtrack.hand.model import ShapedHand
-from handtrack.hand.skeleton import ANGLE_BONES, BONE_PARENTS, NBONE, finger_of_bone
+from handtrack.hand.skeleton import ANGLE_BONES, BONE_ANGLES, BONE_PARENTS, NBONE, finger_of_bone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,9 +61,6 @@ class DeviceHand:
         """
         first = hands[0]
         kept = np.arange(first.nvert) if vertices is None else np.asarray(vertices)
-        bone_angles = np.full((NBONE, 2), -1, np.int32)
-        for angle, bone in enumerate(ANGLE_BONES):
-            bone_angles[bone, int(bone_angles[bone, 0] >= 0)] = angle
         fingers = np.array([finger_of_bone(b) for b in range(NBONE)])
         used = np.where(first.weights > 0, fingers[first.weight_bones], -1)[kept]
 
@@ -85,7 +82,7 @@ class DeviceHand:
             bone_origins=stack("bone_origins", wp.vec3),
             angle_axes=stack("angle_axes", wp.vec3),
             bone_parents=put(np.array(BONE_PARENTS, np.int32), int),
-            bone_angles=put(bone_angles, int),
+            bone_angles=put(BONE_ANGLES, int),
             angle_bones=put(np.array(ANGLE_BONES, np.int32), int),
             vertex_chains=put(used.max(axis=1).astype(np.int32), int),
             vertex_is_hand=put((~first.stub_vertices)[kept].astype(np.int32), int),

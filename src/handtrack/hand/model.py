@@ -18,8 +18,8 @@ from handtrack.files import UNREADABLE
 from handtrack.hand.shape import HandShape
 from handtrack.hand.side import Side, check_side, mirror_axes, mirror_points, mirror_rotations
 from handtrack.hand.skeleton import (
-    ANGLE_BONES,
     BASE_BONES,
+    BONE_ANGLES,
     BONE_PARENTS,
     DISTAL_BONES,
     NANGLE,
@@ -281,6 +281,18 @@ def _check_arrays(arrays: dict[str, NDArray], path: Path) -> None:
             raise DamagedFileError(f"{path}: {name} has entries outside 0 to {count - 1}")
 
 
+def _bone_levels() -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Bones as far from the palm as each other, nearest first, and their parents."""
+    depths = [0]
+    for parent in BONE_PARENTS[1:]:
+        depths.append(depths[parent] + 1)
+    levels = [np.flatnonzero(np.equal(depths, depth)) for depth in range(1, max(depths) + 1)]
+    return [(bones, np.array(BONE_PARENTS)[bones]) for bones in levels]
+
+
+_BONE_LEVELS = _bone_levels()
+
+
 def skeleton_frames(
     bone_rotations: Float, bone_origins: Float, axes: Float, angles: Float
 ) -> tuple[Float, Float]:
@@ -296,23 +308,18 @@ def skeleton_frames(
         Rotations, shape (..., 16, 3, 3), and origins [m], shape (..., 16, 3).
     """
     angles = np.asarray(angles, np.float64)
-    turns = rotvec_to_matrix(angles[..., None] * axes)
-    batch = angles.shape[:-1]
-    rotations = np.empty((*batch, NBONE, 3, 3))
-    origins = np.zeros((*batch, NBONE, 3))
-    rotations[..., 0, :, :] = np.eye(3)
-    bone_angles = np.asarray(ANGLE_BONES)
-    for bone, parent in enumerate(BONE_PARENTS):
-        if parent < 0:
-            continue
-        # MuJoCo's order: the first angle of a bone is the outermost rotation.
-        local = bone_rotations[bone]
-        for angle in np.flatnonzero(bone_angles == bone):
-            local = local @ turns[..., angle, :, :]
-        rotations[..., bone, :, :] = rotations[..., parent, :, :] @ local
-        origins[..., bone, :] = (
-            origins[..., parent, :] + rotations[..., parent, :, :] @ bone_origins[bone]
-        )
+    still = np.broadcast_to(np.eye(3), (*angles.shape[:-1], 1, 3, 3))
+    turns = np.concatenate([rotvec_to_matrix(angles[..., None] * axes), still], axis=-3)
+    # MuJoCo's order: the first angle of a bone is the outermost rotation. The last turn is none.
+    outer, inner = BONE_ANGLES.T
+    rotations = bone_rotations @ turns[..., outer, :, :] @ turns[..., inner, :, :]
+    origins = np.broadcast_to(bone_origins, (*rotations.shape[:-2], 3)).copy()
+    rotations[..., 0, :, :], origins[..., 0, :] = np.eye(3), 0.0
+    for bones, parents in _BONE_LEVELS:
+        parent = rotations[..., parents, :, :]
+        moved = (parent @ origins[..., bones, :, None])[..., 0]
+        origins[..., bones, :] = origins[..., parents, :] + moved
+        rotations[..., bones, :, :] = parent @ rotations[..., bones, :, :]
     return rotations, origins
 
 

@@ -6,6 +6,7 @@ Only names, order and topology live here; lengths, axes and limits belong to `Ha
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 FINGERS: tuple[str, ...] = ("thumb", "index", "middle", "ring", "little")
 """Finger names in the order of keypoints, bones and angles."""
@@ -85,3 +86,14 @@ TIP_KEYPOINTS: tuple[int, ...] = (4, 8, 12, 16, 20)
 def finger_of_bone(bone: int) -> int:
     """Index into `FINGERS` of a finger bone; -1 for the palm."""
     return (bone - 1) // 3 if bone > 0 else -1
+
+
+def _bone_angles() -> NDArray[np.int32]:
+    angles = np.full((NBONE, 2), -1, np.int32)
+    for angle, bone in enumerate(ANGLE_BONES):
+        angles[bone, int(angles[bone, 0] >= 0)] = angle
+    return angles
+
+
+BONE_ANGLES = _bone_angles()
+"""Joint angles that move each bone against its parent, outermost first, -1 for none, (16, 2)."""
