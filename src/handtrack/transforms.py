@@ -61,11 +61,12 @@ def cross_matrix(vectors: Float) -> Float:
 
 
 def _quat_product(a: Float, b: Float) -> Float:
-    """Products of quaternions w x y z, shape (..., 4)."""
+    """Products of quaternions w x y z, shape (..., 4), of either sign the one with w >= 0."""
     w, u = a[..., :1], a[..., 1:]
     real = w * b[..., :1] - (u * b[..., 1:]).sum(-1, keepdims=True)
     crossed = (b[..., None, 1:] @ cross_matrix(u))[..., 0, :]
-    return np.concatenate([real, w * b[..., 1:] + b[..., :1] * u + crossed], -1)
+    product = np.concatenate([real, w * b[..., 1:] + b[..., :1] * u + crossed], -1)
+    return product * np.where(real < 0.0, -1.0, 1.0)
 
 
 def apply_increment(pose: ArrayLike, increment: ArrayLike) -> Float:
@@ -85,7 +86,6 @@ def apply_increment(pose: ArrayLike, increment: ArrayLike) -> Float:
     # sin(half) / half, which is sinc's, stays exact where the turn is none.
     exp = np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * turn], -1)
     quat = _quat_product(pose[..., 3:7], exp)
-    quat = quat * np.where(quat[..., :1] < 0.0, -1.0, 1.0)
     quat /= np.sqrt((quat * quat).sum(-1, keepdims=True))
     return np.concatenate([pose[..., :3] + dq[..., :3], quat, pose[..., 7:] + dq[..., 6:]], -1)
 
@@ -113,11 +113,8 @@ def pose_difference(pose: ArrayLike, reference: ArrayLike) -> Float:
     a, b = np.asarray(pose, np.float64), np.asarray(reference, np.float64)
     back = b[..., 3:7] * np.array([1.0, -1.0, -1.0, -1.0])
     relative = _quat_product(back, a[..., 3:7])
-    relative = relative * np.where(relative[..., :1] < 0.0, -1.0, 1.0)
     sine = np.sqrt((relative[..., 1:] ** 2).sum(-1, keepdims=True))
     half = np.arctan2(sine, relative[..., :1])
-    # half / sin(half) is one where the turn is none, and quaternions need not be normalised.
-    turn = (
-        2.0 * relative[..., 1:] * np.where(sine > 0.0, half / np.where(sine > 0.0, sine, 1.0), 0.0)
-    )
+    # Quaternions need not be normalised; where the turn is none, so is their imaginary part.
+    turn = 2.0 * relative[..., 1:] * (half / np.maximum(sine, np.finfo(np.float64).tiny))
     return np.concatenate([a[..., :3] - b[..., :3], turn, a[..., 7:] - b[..., 7:]], -1)

@@ -12,6 +12,7 @@ from handtrack.hand.kinematics import bone_frames, keypoints
 from handtrack.hand.model import ShapedHand
 from handtrack.hand.skeleton import (
     ANGLE_BONES,
+    BONE_ANGLES,
     KEYPOINT_BONES,
     NANGLE,
     NBONE,
@@ -71,8 +72,8 @@ def _moves() -> NDArray[np.bool_]:
 _TURNS = np.concatenate([np.ones((NBONE, 3), bool), _moves()], axis=1)
 """Which of the palm's three turns and of the joint angles move which bone, shape (16, 24)."""
 
-_OUTER = np.flatnonzero(np.diff(ANGLE_BONES) == 0)
-"""Angles that turn outside of the one that follows, on the same bone."""
+_OUTER, _INNER = BONE_ANGLES[BONE_ANGLES[:, 1] >= 0].T
+"""Angles of the bones that have two."""
 
 
 def point_jacobian(hand: ShapedHand, points: BonePoints, pose: ArrayLike) -> tuple[Float, Float]:
@@ -132,8 +133,8 @@ def _angle_axes(hand: ShapedHand, rotations: Float, pose: Float) -> Float:
     """World axes of the joint angles, shape (n, 21, 3); inner angles do not turn outer axes."""
     own = np.broadcast_to(hand.angle_axes, (len(pose), NANGLE, 3)).copy()
     # Undo the inner rotation: R = R_outer Rot(inner), and Rot(-inner) acts in the bone frame.
-    inner, outer = hand.angle_axes[_OUTER + 1], hand.angle_axes[_OUTER]
-    angle = -pose[:, 7 + 1 + _OUTER, None]
+    inner, outer = hand.angle_axes[_INNER], hand.angle_axes[_OUTER]
+    angle = -pose[:, 7 + _INNER, None]
     along = inner * (inner * outer).sum(1, keepdims=True)
     own[:, _OUTER] = (
         along + np.cos(angle) * (outer - along) + np.sin(angle) * np.cross(inner, outer)
